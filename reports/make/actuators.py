@@ -15,9 +15,10 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.apps.actuators.delay_profile import RESOLVED
-from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives, left_out_share
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, drive_rows
 from sysid_bench.apps.actuators.rollout import Drives, rollout_error, test_end
+from sysid_bench.evaluation.intervals import left_out_held
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log, read_log
@@ -130,8 +131,8 @@ def _print_scatter(legs: list[dict[str, Any]]) -> None:
         print(
             f"{term:7} {int(used.sum())} joints: between runs / residuals "
             f"{np.median(of_term.std(axis=0, ddof=1) / own.mean(axis=0)):.1f}; left-out run held "
-            f"by 95 % {100 * left_out_share(of_term):.0f} %, by 90 % "
-            f"{100 * left_out_share(of_term, 0.9):.0f} %; mean held by residuals' 95 % "
+            f"by 95 % {100 * left_out_held(of_term).mean():.0f} %, by 90 % "
+            f"{100 * left_out_held(of_term, 0.9).mean():.0f} %; mean held by residuals' 95 % "
             f"{100 * textbook:.0f} %"
         )
 

@@ -18,7 +18,7 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_samples import read_samples
-from sysid_bench.signals.time_base import read_time
+from sysid_bench.signals.log_source import read_time
 from sysid_bench.types import Array
 
 UR: Final = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint",

@@ -53,17 +53,8 @@ class Basis(Request["BasisResult"]):
         from sysid_bench.commands.sensor_certificate import certificate_fields
         from sysid_bench.commands.task_terms import check_terms, terms_of
         from sysid_bench.experiments.tasks.task import find_task
-        from sysid_bench.identifiability.base_expressions import (
-            base_expressions,
-            expression,
-            left_out_expressions,
-            parameter_verdict,
-        )
-        from sysid_bench.identifiability.base_map import (
-            base_map,
-            left_out_torque,
-            structural_factor,
-        )
+        from sysid_bench.identifiability import base_expressions as texts
+        from sysid_bench.identifiability import base_map as maps
         from sysid_bench.models.load import load_robot
         from sysid_bench.models.payload import PAYLOADS
 
@@ -73,8 +64,8 @@ class Basis(Request["BasisResult"]):
         robot = load_robot(self.source, load, self.free_base, self.robots_dir)
         chosen = terms_of(definition, robot, self.terms)
         posed = definition.unknowns(robot, chosen, self.sensor, None)
-        R = structural_factor(robot, posed.parameters, posed.rows, posed.cuts)
-        base = base_map(R, posed.parameters)
+        R = maps.structural_factor(robot, posed.parameters, posed.rows, posed.cuts)
+        base = maps.base_map(R, posed.parameters)
         certificate = definition.identifies_sub_tree
         inertial = {column for body in posed.bodies for column in body.columns}
         return BasisResult(
@@ -88,17 +79,17 @@ class Basis(Request["BasisResult"]):
             inertial=sum(name in inertial for name in base.names),
             gap=base.gap,
             near_degenerate=base.near_degenerate,
-            dropped_torque=left_out_torque(base, posed.truth.theta),
+            dropped_torque=maps.left_out_torque(base, posed.truth.theta),
             # Below the rank tolerance but above rounding error.
             near_degenerate_directions=[
-                {"singular_value": value, "expression": expression(terms, 2), "terms": terms}
-                for value, terms in left_out_expressions(R, base)
+                {"singular_value": value, "expression": texts.expression(terms, 2), "terms": terms}
+                for value, terms in texts.left_out_expressions(R, base)
             ],
             combinations=[
-                {"expression": expression(terms), "terms": terms}
-                for terms in base_expressions(base)
+                {"expression": texts.expression(terms), "terms": terms}
+                for terms in texts.base_expressions(base)
             ],
-            verdicts=dict(zip(base.parameters, parameter_verdict(base), strict=True)),
+            verdicts=dict(zip(base.parameters, texts.parameter_verdict(base), strict=True)),
             sensor=certificate_fields(robot, posed.cuts[0]) if certificate else None,
         )
 

@@ -62,28 +62,25 @@ class DiagnoseRequest(Request["DiagnoseResult"]):
             )
         for name in self.accept:
             if name not in FINDINGS:
-                raise unknown_name(
-                    "finding", name, FINDINGS, "Give --accept the names to let pass."
-                )
+                advice = "Give --accept the names to let pass."
+                raise unknown_name("finding", name, FINDINGS, advice)
         manifest = find_manifest(self.model, self.robots_dir)
-        logs = [find_description(log) for log in self.logs]
-        names = [str(log.source) for log in logs]
-        evidence = [_evidence_of(manifest, log) for log in logs]
-        found = [_findings(one, self.accept) for one in evidence]
+        inputs = [_input_of(manifest, find_description(log)) for log in self.logs]
+        found = [_findings(one, self.accept) for one in inputs]
         findings = [
-            {"log": name, **finding.to_json()}
-            for name, part in zip(names, found, strict=True)
+            {"log": str(one.log.description.source), **finding.to_json()}
+            for one, part in zip(inputs, found, strict=True)
             for finding in part
         ]
         if self.html is not None:
-            torques = list(map(_torque, names, evidence))
-            write_findings_html(self.html, f"Diagnosis: {manifest.name}", findings, torques)
+            title = f"Diagnosis: {manifest.name}"
+            write_findings_html(self.html, title, findings, [_torque(one) for one in inputs])
         result = DiagnoseResult(
             model=manifest.name,
             file=str(manifest.path),
             ok=not any(contradictions_left(part, self.accept) for part in found),
             accepted=list(self.accept),
-            logs=list(map(_log_fields, names, evidence)),
+            logs=[_log_fields(one) for one in inputs],
             findings=findings,
             html=file_text(self.html),
         )
@@ -203,7 +200,7 @@ def check_contradictions(logs: "Sequence[ProcessedLog]", accept: Collection[str]
     return warnings
 
 
-def _evidence_of(manifest: "Manifest", log: "LogDescription") -> "DiagnoseInput":
+def _input_of(manifest: "Manifest", log: "LogDescription") -> "DiagnoseInput":
     """Read one recording of a robot, with those joints locked that it does not list."""
     from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
     from sysid_bench.experiments.recorded.process_log import lock_manifest, payload_of
@@ -234,30 +231,27 @@ def _findings(evidence: "DiagnoseInput", accept: Collection[str]) -> "list[Findi
     return findings
 
 
-def _log_fields(name: str, evidence: "DiagnoseInput") -> dict[str, Any]:
-    import numpy as np
-
+def _log_fields(one: "DiagnoseInput") -> dict[str, Any]:
     from sysid_bench.diagnosis.hypothesis import first_hypothesis
 
-    residual = first_hypothesis(evidence).fit.residual
-    recording = evidence.log.recording
+    residual, recording = first_hypothesis(one).fit.residual.tolist(), one.log.recording
     return {
-        "log": name,
-        "samples": evidence.log.samples,
+        "log": str(one.log.description.source),
+        "samples": one.log.samples,
         "rate": recording.rate,
-        "seconds": float(np.ptp(recording.t)),
-        "residual": dict(zip(evidence.joints, residual.tolist(), strict=True)),
+        "seconds": float(recording.t.max() - recording.t.min()),
+        "residual": dict(zip(one.joints, residual, strict=True)),
     }
 
 
-def _torque(name: str, evidence: "DiagnoseInput") -> "TorqueFit":
+def _torque(one: "DiagnoseInput") -> "TorqueFit":
     import numpy as np
 
     from sysid_bench.diagnosis.hypothesis import first_hypothesis
     from sysid_bench.reporting.html import TorqueFit
 
-    motion, measured = evidence.fit_samples
-    fitted = evidence.predict(first_hypothesis(evidence).fit)
-    t = np.linspace(0.0, float(np.ptp(evidence.log.recording.t)), len(motion))
-    units = ["N m" if kind == "hinge" else "N" for kind in evidence.kinds]
-    return TorqueFit(name, t, evidence.joints, measured, fitted, units)
+    motion, measured = one.fit_samples
+    t = np.linspace(0.0, float(np.ptp(one.log.recording.t)), len(motion))
+    units = ["N m" if kind == "hinge" else "N" for kind in one.kinds]
+    fitted = one.predict(first_hypothesis(one).fit)
+    return TorqueFit(str(one.log.description.source), t, one.joints, measured, fitted, units)

@@ -17,11 +17,7 @@ from sysid_bench.commands.values import check_seed
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
-from sysid_bench.excitation.information import (
-    InformationModel,
-    information_model,
-    torque_model,
-)
+from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.motion_output import (
     RESTING,
     MotionOutput,
@@ -36,7 +32,8 @@ from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
-from sysid_bench.types import Array
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.types import Array, BaseMap
 
 LIMITS: Final = ("v", "a", "tau")
 MOST: Final = 1e9
@@ -189,21 +186,7 @@ def design_motion(request: ExciteRequest, on_value: OnValue) -> ExciteResult:
     # Whatever can be refused is checked before the search.
     check_seed(request.seed)
     kind = check_output(request.export, request.out)
-    check_term_names(request.terms)
-    robot = load_robot(request.robot, parse_payload(request.payload), robots_dir=request.robots_dir)
-    definition = find_task(request.task)
-    terms = terms_of(definition, robot, request.terms)
-    task = definition.unknowns(robot, terms, request.sensor, None)
-    base = structural_base(robot, task.parameters, task.rows, task.cuts)
-    information = information_model(robot, base.names, task.rows, task.cuts)
-    scenes: dict[float | None, Any] = {}
-    problem = replace(
-        design_problem(robot, request.rate),
-        regress=information,
-        torque=torque_model(robot),
-        scene=lambda floor: scenes.setdefault(floor, collision_model(robot, floor)),
-        **_limits(robot.torque_rows, request.limits),
-    )
+    robot, terms, base, problem = _problem(request)
     resting = {} if kind == "csv" else {"family": RESTING}
     settings: dict[str, Any] = {"clearance": CLEARANCE, **resting, **request.settings}
     method = Optimised(objective=request.objective, **settings)
@@ -230,7 +213,7 @@ def design_motion(request: ExciteRequest, on_value: OnValue) -> ExciteResult:
         seed=request.seed,
         rate=request.rate,
         **{name: getattr(method, name) for name in ("family", "harmonics", "period", "cycles")},
-        **_figures(method, problem, information, design.C, request.seed),
+        **_figures(method, problem, design.C, request.seed),
         of=base.rank,
         value=design.value,
         start_value=design.start,
@@ -248,14 +231,34 @@ def design_motion(request: ExciteRequest, on_value: OnValue) -> ExciteResult:
     )
 
 
-def _figures(
-    method: Optimised, problem: DesignProblem, information: InformationModel, C: Array, seed: int
-) -> dict[str, Any]:
+def _problem(
+    request: ExciteRequest,
+) -> tuple[RobotModel, tuple[str, ...], BaseMap, DesignProblem]:
+    """Robot, joint terms, base parameters and the problem of their information within limits."""
+    check_term_names(request.terms)
+    robot = load_robot(request.robot, parse_payload(request.payload), robots_dir=request.robots_dir)
+    definition = find_task(request.task)
+    terms = terms_of(definition, robot, request.terms)
+    task = definition.unknowns(robot, terms, request.sensor, None)
+    base = structural_base(robot, task.parameters, task.rows, task.cuts)
+    scenes: dict[float | None, Any] = {}
+    problem = replace(
+        design_problem(robot, request.rate),
+        regress=information_model(robot, base.names, task.rows, task.cuts),
+        torque=torque_model(robot),
+        scene=lambda floor: scenes.setdefault(floor, collision_model(robot, floor)),
+        **_limits(robot.torque_rows, request.limits),
+    )
+    return robot, terms, base, problem
+
+
+def _figures(method: Optimised, problem: DesignProblem, C: Array, seed: int) -> dict[str, Any]:
     """Rank and conditioning of the motion C, medians over the draws that the search began with, and
     the use of limits."""
     space = method.space(problem)
+    assert problem.regress is not None
     draws = method.random_coefficients(space, np.random.default_rng(seed))
-    known, grid = excitation_parameters(space, information, draws), space.curves.grid()
+    known, grid = excitation_parameters(space, problem.regress, draws), space.curves.grid()
     random = [design_figures(known, space.motion(draw, grid)) for draw in draws]
     limits = method.report(C, problem)
     return {

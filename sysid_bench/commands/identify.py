@@ -36,6 +36,7 @@ from sysid_bench.errors import UsageError, WriteError
 if TYPE_CHECKING:
     from sysid_bench.commands.identify_result import IdentifyResult
     from sysid_bench.experiments.spec import ExperimentSpec
+    from sysid_bench.signals.log_description import LogDescription
 
 PathLike = str | Path
 LogLike = Any
@@ -228,6 +229,19 @@ class Identify(Request["IdentifyResult"]):
         from sysid_bench.commands.identify_recorded import identify_recorded
 
         return identify_recorded(asked)
+
+    def recordings(self) -> "tuple[list[LogDescription], dict[str, LogDescription]]":
+        """The training recordings, and the tests by the stem of their file; by their whole path
+        where two stems are the same."""
+        from sysid_bench.signals.log_description import find_description
+
+        tests = [find_description(log) for log in self.test]
+        stems = [test.source.stem for test in tests]
+        labels = [
+            stem if stems.count(stem) == 1 else str(test.source)
+            for stem, test in zip(stems, tests, strict=True)
+        ]
+        return [find_description(log) for log in self.log], dict(zip(labels, tests, strict=True))
 
     def specification(self, **data: Any) -> "ExperimentSpec":
         """The experiment of this request; `data`: fields of its source."""

@@ -25,7 +25,7 @@ from sysid_bench.commands.result import file_text, interval_text, value_text
 from sysid_bench.commands.write_model import check_files, check_output_files
 from sysid_bench.errors import SHOWN, EstimationError, ModelError, UnsupportedError, WriteError
 from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
-from sysid_bench.evaluation.intervals import LEVEL_TEXT
+from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.evaluation.score import joint_errors
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.left_out_parts import payload_interval, payload_mass
@@ -33,13 +33,14 @@ from sysid_bench.experiments.recorded.model_prior import MODEL
 from sysid_bench.experiments.recorded.prepare import TERMS_TOO, recorded_data
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log, repetition_error
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.linear.least_squares import RMS_TORQUE
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
-from sysid_bench.signals.log_description import LogDescription, find_description
+from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.types import Estimate
 
@@ -123,7 +124,7 @@ def identify_recorded(request: Identify) -> RecordedResult:
     Raises UsageError for descriptions, files or names that cannot be used and for contradictions
     in the data that `accept` does not name, EstimationError where the method fails.
     """
-    training, tests = found_logs(request)
+    training, tests = request.recordings()
     name = request.estimator or ESTIMATOR
     method = build("estimator", name)
     manifest = find_manifest(str(request.model), request.robots_dir)
@@ -131,21 +132,8 @@ def identify_recorded(request: Identify) -> RecordedResult:
     if model_out is not None or json_out is not None:
         check_files(load_robot(manifest), request.task, model_out, json_out)
     beside = None if model_out is None else model_out.with_suffix(".toml")
-    check_output_files(request.files, beside, read_files([*training, *tests.values()]))
-    written = {"filter": request.filter, "derivatives": request.derivatives}
-    signals = {key: value for key, value in written.items() if value is not None}
-    spec = request.specification(
-        plant=RECORDED, excitation=RECORDED, simulation=RECORDED, held_out=(), rate=0.0,
-        prior=MODEL if request.prior is None else request.prior,
-        signals=signals,
-        pipeline=request.pipeline_with_default(default_log_pipeline(signals)),
-        log={
-            "train": training, "test": tests, "moving": request.moving, "choose": request.choose,
-            "position_given": request.position_given, "accept": request.accept,
-            "feasible": request.feasible or TERMS_TOO,
-        },
-    )  # fmt: skip
-    posed = recorded_data(spec, manifest, Path())
+    check_output_files(request.files, beside, [*training, *tests.values()])
+    posed = recorded_data(_specification(request, training, tests), manifest, Path())
     source = posed.source
     if not isinstance(source, RecordedSource):
         raise UnsupportedError(
@@ -172,27 +160,29 @@ def identify_recorded(request: Identify) -> RecordedResult:
         found = predict_log(posed, estimate.beta)
         units = tuple(kind.removeprefix("joint ") for kind in found.problem.kinds)
         rows = tuple(found.problem.rows)
-        torque_figure(
+        torque_figure.write(
             figure, StoredTorque("", found.t, found.measured, found.predicted, rows, units)
         )
     return result if model_out is None else _with_model(result, request, posed, estimate, model_out)
 
 
-def found_logs(request: Identify) -> tuple[list[LogDescription], dict[str, LogDescription]]:
-    """Return descriptions of the training recordings, and of the tests by the stem of their file;
-    by their whole path where two stems are the same."""
-    tests = [find_description(log) for log in request.test]
-    stems = [test.source.stem for test in tests]
-    labels = [
-        stem if stems.count(stem) == 1 else str(test.source)
-        for stem, test in zip(stems, tests, strict=True)
-    ]
-    return [find_description(log) for log in request.log], dict(zip(labels, tests, strict=True))
-
-
-def read_files(logs: Sequence[LogDescription]) -> list[Path]:
-    """Return the descriptions of recordings and the files that they name."""
-    return [file for log in logs for file in (log.source, *log.files)]
+def _specification(
+    request: Identify, training: list[LogDescription], tests: dict[str, LogDescription]
+) -> ExperimentSpec:
+    """Experiment as a suite with one [[log]] would have it."""
+    written = {"filter": request.filter, "derivatives": request.derivatives}
+    signals = {key: value for key, value in written.items() if value is not None}
+    return request.specification(
+        plant=RECORDED, excitation=RECORDED, simulation=RECORDED, held_out=(), rate=0.0,
+        prior=MODEL if request.prior is None else request.prior,
+        signals=signals,
+        pipeline=request.pipeline_with_default(default_log_pipeline(signals)),
+        log={
+            "train": training, "test": tests, "moving": request.moving, "choose": request.choose,
+            "position_given": request.position_given, "accept": request.accept,
+            "feasible": request.feasible or TERMS_TOO,
+        },
+    )  # fmt: skip
 
 
 def _with_model(
@@ -349,8 +339,8 @@ def _gain_warnings(payload: Mapping[str, Any], stated: float) -> Iterator[str]:
         if not (low <= stated <= high or abs(found / stated - 1) < LEAST_GAIN_ERROR):
             yield (
                 f"the log states a payload of {stated:.4g} kg, the torques give {found:.4g} kg "
-                f"({LEVEL_TEXT} in {interval_text(low, high)}): if the statement is right, torques "
-                f"are {found / stated:.3g} times the true ones, as with wrong drive gains"
+                f"({level_text()} in {interval_text(low, high)}): if the statement is right, "
+                f"torques are {found / stated:.3g} times the true ones, as with wrong drive gains"
             )
 
 
@@ -398,8 +388,8 @@ def _payload_lines(payload: Mapping[str, Any]) -> Iterator[str]:
             yield f"    {', '.join(texts)} {unit}"
     if payload["intervals"]:
         yield (
-            f"    {LEVEL_TEXT} intervals by leaving parts of the motion out; a wrong torque scale, "
-            "as of drive gains, moves all of them alike and is not in them"
+            f"    {level_text()} intervals by leaving parts of the motion out; a wrong torque "
+            "scale, as of drive gains, moves all of them alike and is not in them"
         )
 
 

@@ -40,7 +40,7 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
-from sysid_bench.types import Array
+from sysid_bench.types import Array, Estimate
 
 FROM_ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
 IDEAL: Final = {"filter": "none", "derivatives": "exact"}
@@ -124,7 +124,7 @@ def identify_simulated(request: Identify) -> SimulatedResult:
     """
     check_terms(request.task, request.terms)
     check_seed(request.seed)
-    name = request.estimator or find_task(request.task).default_estimator
+    name = _estimator(request)
     method = build("estimator", name)
     loaded, spec = _robot(request, _specification(request))
     robot, (model_out, json_out, _) = loaded.robot, request.files
@@ -132,10 +132,33 @@ def identify_simulated(request: Identify) -> SimulatedResult:
     if not loaded.check.ok():
         raise ModelError(f"{robot.name}: {loaded.check.reason_text()}")
     ready = prepare_simulated(spec, loaded)
-    problem, source = ready.problem, ready.source
-    estimate = solved(ready, method, f"{name} on {robot.name}", source.warning)
+    estimate = solved(ready, method, f"{name} on {robot.name}", ready.source.warning)
     if request.complete is not None:
-        estimate = completed_estimate(estimate, problem, request.complete)
+        estimate = completed_estimate(estimate, ready.problem, request.complete)
+    result = _result(request, spec, loaded, ready, estimate)
+    if model_out is not None:
+        whole = request.complete is not None
+        try:
+            write_model(robot, request.task, estimate, ready.problem, model_out, whole)
+        except ModelError as error:
+            raise WriteError(str(error), replace(result, model_out=None)) from error
+    return result
+
+
+def _estimator(request: Identify) -> str:
+    return request.estimator or find_task(request.task).default_estimator
+
+
+def _result(
+    request: Identify,
+    spec: ExperimentSpec,
+    loaded: LoadedRobot,
+    ready: ExperimentData[SimulatedSource],
+    estimate: Estimate,
+) -> SimulatedResult:
+    """The row of the cell, the estimate, and what a sensor sees."""
+    robot, problem, source = loaded.robot, ready.problem, ready.source
+    method = build("estimator", _estimator(request))
     reported = (*OF_CELLS, "left_out", "gap", "plausible")
     fields = cell_fields(ready, method, estimate, reported, {"gap": loaded.check.gap})
     own = [*robot.repairs, *warnings_of(estimate, problem), *filter(None, [source.warning])]
@@ -150,27 +173,20 @@ def identify_simulated(request: Identify) -> SimulatedResult:
     warnings = fields.pop("warnings")
     assert estimate.beta is not None
     exact = _rounding(estimate.beta, problem.base.K @ source.truth.theta)
-    result = SimulatedResult(
+    return SimulatedResult(
         **fields,
         model=robot.name,
         file=str(robot.manifest.path),
         task=request.task,
         terms=list(unknown_terms(spec, robot, source.task.definition)),
-        estimator=name,
+        estimator=_estimator(request),
         payload=next(iter(fields["bodies"].values()), None) if is_payload else None,
         completed=request.complete,
         warnings=[*warnings, *own],
         sensor=sensor,
-        model_out=file_text(model_out),
+        model_out=file_text(request.model_out),
         exact=None if spec.noise else exact,
     )
-    if model_out is not None:
-        whole = request.complete is not None
-        try:
-            write_model(robot, request.task, estimate, problem, model_out, whole)
-        except ModelError as error:
-            raise WriteError(str(error), replace(result, model_out=None)) from error
-    return result
 
 
 def _specification(request: Identify) -> ExperimentSpec:

@@ -6,13 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sysid_bench.commands.init import relative_to, toml_value, write_new
-from sysid_bench.commands.request import (
-    OK,
-    Request,
-    argument,
-    option,
-    python_function,
-)
+from sysid_bench.commands.request import OK, Request, argument, option, python_function
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, first_names
 

@@ -232,7 +232,7 @@ def _judged(
     terms = tuple(x for x in problem.parameters if x not in values and _is_term(robot, x))
     values |= dict(zip(terms, robot.term_values(terms), strict=True))
     beta = problem.base.K @ np.array([values.get(name, 0.0) for name in problem.parameters])
-    tests = list(posed.held_out.values())
+    tests, names = list(posed.held_out.values()), robot.body_names
     error, own = (RowErrors(tests or [problem], x).torque_error for x in (beta, estimated))
 
     def relative(judged: Problem) -> dict[str, float | None]:
@@ -245,10 +245,7 @@ def _judged(
         refitted=chosen.refitted,
         weights=chosen.weights,
         ratio=error / own if error is not None and own else None,
-        masses={
-            body.name: float(robot.phi[robot.body_names.index(body.name), 0])
-            for body in problem.bodies
-        },
+        masses={x.name: float(robot.phi[names.index(x.name), 0]) for x in problem.bodies},
         left_out=left_out,
         gap=check.gap,
         closure=check.closure,

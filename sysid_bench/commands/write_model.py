@@ -16,6 +16,7 @@ from sysid_bench.input_files import is_file, is_folder
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import update_mjcf
 from sysid_bench.models.writing.urdf_writer import update_urdf
+from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import Array, Estimate, Problem
 
 SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
@@ -53,10 +54,11 @@ def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path |
 
 
 def check_output_files(
-    written: Sequence[Path | None], manifest: Path | None, read: Sequence[Path]
+    written: Sequence[Path | None], manifest: Path | None, logs: Sequence[LogDescription]
 ) -> None:
-    """Raise UsageError, before anything runs, where a file to be `written` is one of those that are
-    `read`, or where the `manifest` beside a model would replace a file of another kind."""
+    """Raise UsageError, before anything runs, where a file to be `written` is one of those that
+    `logs` read, or where the `manifest` beside a model would replace a file of another kind."""
+    read = [file for log in logs for file in (log.source, *log.files)]
     for target in (*written, manifest):
         if target is None or not is_file(target):
             continue

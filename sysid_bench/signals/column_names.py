@@ -2,50 +2,35 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Final
 
-from sysid_bench.signals.log_data import signal_columns
-
 WORDS: Final[Mapping[str, frozenset[str]]] = {
-    "q": frozenset({"q", "pos", "position", "positions", "qpos", "angle", "angles", "state"}),
-    "v": frozenset({"v", "dq", "qd", "vel", "velocity", "velocities", "qvel", "speed"}),
+    "q": frozenset(["q", "pos", "position", "positions", "qpos", "angle", "angles", "state"]),
+    "v": frozenset(["v", "dq", "qd", "vel", "velocity", "velocities", "qvel", "speed"]),
     "tau": frozenset(
-        {"tau", "torque", "torques", "effort", "efforts", "current", "currents", "curr", "trq"}
+        ["tau", "torque", "torques", "effort", "efforts", "current", "currents", "curr", "trq"]
     ),
-    "time": frozenset({"t", "time", "timestamp", "stamp", "times", "seconds"}),
+    "time": frozenset(["t", "time", "timestamp", "stamp", "times", "seconds"]),
 }
 """Words in the names of columns, arrays and files by what they hold."""
 
-_OTHER: Final = frozenset(
-    {
-        "ref",
-        "des",
-        "desired",
-        "cmd",
-        "command",
-        "target",
-        "error",
-        "predicted",
-        "ext",
-        "action",
-        "se",
-        "d",
-    }
-)
+_COMMANDED: Final = frozenset(["ref", "des", "desired", "cmd", "command", "target", "action", "d"])
+_OTHER: Final = _COMMANDED | {"error", "predicted", "ext", "se"}
 """Words of columns that are not measured at the joint."""
 
 _MEASURED: Final = frozenset({"meas", "measured", "act", "actual"})
 """Words that set measured columns apart from others of the signal."""
 
-_SPLIT: Final = re.compile(r"[^A-Za-z]+")
-_CAMEL: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_ROS: Final = {"q": "position", "v": "velocity", "tau": "effort"}
+"""Words in the names of ROS columns, `<joint>_position`."""
+
 _NUMBER: Final = re.compile(r"(.*?)(\d+)\D*$")
 
 
 def words_of(name: str) -> frozenset[str]:
     """Return the words of a name in lower case: "data/jointPos_deg_3" has data, joint, pos, deg."""
-    return frozenset(_CAMEL.sub(" ", _SPLIT.sub(" ", name)).lower().split())
+    return frozenset(re.sub(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", " ", name).lower().split())
 
 
 def is_signal(name: str, signal: str) -> bool:
@@ -54,10 +39,24 @@ def is_signal(name: str, signal: str) -> bool:
     return bool(words & WORDS[signal]) and not words & _OTHER
 
 
+def is_measured(name: str) -> bool:
+    """Test whether a name says that its column was measured, as tau_meas1 does beside tau_con1."""
+    return bool(words_of(name) & _MEASURED)
+
+
 def time_column(names: Iterable[str]) -> str | None:
     """Return the column of time stamps: the shortest name with a word for time."""
-    found = [name for name in names if is_signal(name, "time")]
-    return min(found, key=len, default=None)
+    return min((name for name in names if is_signal(name, "time")), key=len, default=None)
+
+
+def usual_columns(names: Collection[str], signal: str, joints: Sequence[str]) -> list[str]:
+    """Return the columns of a signal for some joints by the usual names, [] where they are not all
+    there: one for each joint, or an array."""
+    for pattern in (f"{signal}_{{}}", f"{{}}_{_ROS[signal]}"):
+        columns = [pattern.format(joint) for joint in joints]
+        if columns and set(columns).issubset(names):
+            return columns
+    return next(([name] for name in (signal, _ROS[signal]) if name in names), [])
 
 
 def columns_of_signal(
@@ -65,54 +64,35 @@ def columns_of_signal(
 ) -> list[str]:
     """Return the columns of a signal: by the names of joints, numbered ones, or one array; [] where
     the names hold none."""
-    single = _single_columns(names, signal)
+    single = single_columns(names, signal)
     single = list(filter(is_measured, single)) or single
     arrays = [name for name in names if is_signal(name, signal) and len(names[name]) > 1]
+    by_joint: dict[str, str] = {}
+    for name in single:
+        by_joint.setdefault(_joint_in(name, joints), name)
     return (
-        signal_columns(names, signal, joints)
-        or _by_joint(single, joints)
+        usual_columns(names, signal, joints)
+        or [by_joint[joint] for joint in joints if joint in by_joint]
         or _numbered(single)
         or arrays[:1]
         or single[:1]
     )
 
 
-def _single_columns(names: Mapping[str, tuple[int, ...]], signal: str) -> list[str]:
+def single_columns(names: Mapping[str, tuple[int, ...]], signal: str) -> list[str]:
     """Return the names of one column that may be those of a signal."""
     return [name for name in names if is_signal(name, signal) and len(names[name]) == 1]
 
 
-def is_measured(name: str) -> bool:
-    """Test whether a name says that its column was measured, as tau_meas1 does beside tau_con1."""
-    return bool(words_of(name) & _MEASURED)
-
-
-def other_columns(
-    names: Mapping[str, tuple[int, ...]], signal: str, chosen: Sequence[str]
-) -> list[str]:
-    """Return further columns that the signal could be; [] unless they are enough for it."""
-    found = [name for name in _single_columns(names, signal) if name not in chosen]
-    return found if chosen and len(found) >= len(chosen) else []
-
-
-def _by_joint(names: Sequence[str], joints: Sequence[str]) -> list[str]:
-    """Return the first column for each joint that some column names, in the order of joints."""
-    longest_first = sorted(joints, key=len, reverse=True)
-    found: dict[str, str] = {}
-    for name in names:
-        found.setdefault(_joint_in(name, longest_first), name)
-    return [found[joint] for joint in joints if joint in found]
-
-
 def _joint_in(name: str, joints: Sequence[str]) -> str:
-    """Return the first of the joints that a name contains, "" without one."""
-    return next((joint for joint in joints if joint in name), "")
+    """Return the longest of the joints that a name contains, "" without one."""
+    longest_first = sorted(joints, key=len, reverse=True)
+    return next((joint for joint in longest_first if joint in name), "")
 
 
 def joints_of_columns(columns: Sequence[str], joints: Sequence[str]) -> list[str] | None:
     """Return the joint that each column names, None unless each names another one."""
-    longest_first = sorted(joints, key=len, reverse=True)
-    found = [_joint_in(name, longest_first) for name in columns]
+    found = [_joint_in(name, joints) for name in columns]
     return found if all(found) and len(set(found)) == len(found) else None
 
 

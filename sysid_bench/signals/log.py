@@ -1,24 +1,16 @@
 """From the description of a recorded log to a Recording on a uniform grid, with its findings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import COMPONENTS
-from sysid_bench.signals.log_checks import (
-    FASTEST,
-    MANY,
-    Finding,
-    check_finite,
-    check_limits,
-    check_rates,
-    check_samples,
-    held_rows,
-)
+from sysid_bench.signals import log_checks
+from sysid_bench.signals.log_checks import Finding
 from sysid_bench.signals.log_controller import with_controller
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_samples import (
@@ -29,14 +21,14 @@ from sysid_bench.signals.log_samples import (
     read_samples,
     scalar_kinds,
 )
-from sysid_bench.signals.log_source import merge_sources
+from sysid_bench.signals.log_source import merge_sources, read_time
 from sysid_bench.signals.position_control import (
     Commands,
     commands_of,
     unknown_delay,
     with_commanded_torque,
 )
-from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, read_time, time_base
+from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, time_base
 from sysid_bench.types import Array, Recording
 
 FAR: Final = 4.0
@@ -74,56 +66,43 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     """
     raw = read_samples(description, robot)
     stamps = read_time(description, len(raw))
-    invalid = check_finite(*raw.measured)
+    invalid = log_checks.check_finite(*raw.measured)
     t, rate, timing = time_base(description, stamps, invalid)
     grid = _uniform_grid(description, t, invalid, rate)
     raw = with_commanded_torque(description, raw, grid)
-    columns = _joint_columns(description)
-    joints = tuple(columns)
-    measured = raw.columns(list(columns.values()))
+    column = {joint: i for i, joint in enumerate(description.joints) if joint != NO_JOINT}
+    joints = tuple(column)
+    measured = raw.columns(list(column.values()))
     samples = measured.at(grid)
-    rates, measured_rate = _rates(samples, rate, joints)
+    rates: tuple[list[Finding], float | None] = ([], None)
+    if samples.v is not None:
+        rates = log_checks.check_rates(samples.q, samples.v, rate, joints)
     findings = [
-        *_of_files(description, raw, invalid),
+        *([merge_sources(description).finding] if description.sources else []),
+        *_damaged(raw.truncated, invalid),
         *timing,
-        *_held(*held_rows(measured.q[grid.valid], rate)),
-        *_lost(samples, stamps),
-        *rates,
-        *_ranges(robot, joints, samples),
+        *_held(*log_checks.held_rows(measured.q[grid.valid], rate)),
+        # Time stamps would show lost samples directly.
+        *(log_checks.check_samples(samples.q) if stamps is None else []),
+        *rates[0],
+        # Values that are impossible for the joint are contradictions; without them positions
+        # outside of the limits are reported.
+        *(_impossible(robot, joints, samples) or _outside(robot, joints, samples.q)),
         *unknown_delay(description, len(raw)),
     ]
-    recording = _robot_recording(robot, joints, samples, grid)
-    recording = replace(recording, period=description.period, **_wrench(description, samples))
+    recording = _robot_recording(description, robot, joints, samples, grid)
     return Log(
         description=description,
         recording=with_controller(recording, description, robot, joints, samples),
         joints=joints,
         findings=tuple(findings),
-        measured_rate=measured_rate,
+        measured_rate=rates[1],
         samples=len(raw),
         coordinates=_coordinates(description, raw, grid),
         raw=raw,
         commands=commands_of(description, raw, grid),
         base=samples.base,
     )
-
-
-def _wrench(description: LogDescription, samples: Samples) -> dict[str, Any]:
-    """Return the fields of a recording for its force/torque sensors."""
-    sensors = [part.sensor for part in description.wrench]
-    rows = tuple(f"{sensor}.{component}" for sensor in sensors for component in COMPONENTS)
-    return {"wrench": samples.wrench, "wrench_rows": rows}
-
-
-def _of_files(description: LogDescription, raw: Samples, invalid: Array) -> list[Finding]:
-    """Return the findings of files: joined, broken off, with values that are not finite."""
-    joined = [merge_sources(description).finding] if description.sources else []
-    return [*joined, *_broken_off(raw.truncated), *_not_finite(invalid)]
-
-
-def _joint_columns(log: LogDescription) -> dict[str, int]:
-    """Return the column of each recorded coordinate that is a joint of the robot, by its name."""
-    return {joint: i for i, joint in enumerate(log.joints) if joint != NO_JOINT}
 
 
 def _uniform_grid(log: LogDescription, t: Array, invalid: Array, rate: float) -> Grid:
@@ -137,69 +116,48 @@ def _uniform_grid(log: LogDescription, t: Array, invalid: Array, rate: float) ->
     return Grid(times, t[valid], valid, rate)
 
 
-def _broken_off(truncated: int) -> list[Finding]:
-    found = Finding("non-finite", truncated, "the last line is incomplete and was left out")
-    return [found] if truncated else []
-
-
-def _lost(samples: Samples, stamps: Array | None) -> list[Finding]:
-    """Return findings of lost samples, which time stamps would show directly."""
-    return check_samples(samples.q) if stamps is None else []
-
-
-def _rates(
-    samples: Samples, rate: float, joints: Sequence[str]
-) -> tuple[list[Finding], float | None]:
-    """Return findings of v against q, and the rate at which they agree; none without v."""
-    if samples.v is None:
-        return [], None
-    return check_rates(samples.q, samples.v, rate, joints)
-
-
-def _not_finite(invalid: Array) -> list[Finding]:
-    count = int(invalid.sum())
-    if count == 0:
-        return []
-    first = np.argmax(invalid) + 1
-    text = f"samples without numbers: {count} of {len(invalid)}, the first is sample {first}"
-    return [Finding("non-finite", count, text, count > LONGEST_GAP * len(invalid))]
+def _damaged(truncated: int, invalid: Array) -> list[Finding]:
+    """Return the findings of a file that broke off, or with values that are not finite."""
+    found, count = [], int(invalid.sum())
+    if truncated:
+        text = "the last line is incomplete and was left out"
+        found.append(Finding("non-finite", truncated, text))
+    if count:
+        first = np.argmax(invalid) + 1
+        text = f"samples without numbers: {count} of {len(invalid)}, the first is sample {first}"
+        found.append(Finding("non-finite", count, text, count > LONGEST_GAP * len(invalid)))
+    return found
 
 
 def _held(held: Array, standing: int) -> list[Finding]:
     found, count, moving = [], int(held.sum()), len(held) - standing
     if count:
         text = f"samples that repeat the positions before: {count} of {moving} of the motion"
-        found.append(Finding("held", count, text, count > MANY * moving))
+        found.append(Finding("held", count, text, count > log_checks.MANY * moving))
     if standing:
         found.append(Finding("held", standing, f"samples at standstill: {standing}"))
     return found
 
 
-def _ranges(robot: RobotModel, joints: Sequence[str], samples: Samples) -> list[Finding]:
-    """Return findings about values impossible for the joint, which are contradictions; without
-    them, about positions outside of the limits, which are reported."""
-    return _impossible(robot, joints, samples) or _outside(robot, joints, samples.q)
-
-
 def _impossible(robot: RobotModel, joints: Sequence[str], samples: Samples) -> list[Finding]:
+    """Return contradictions of values that the joints cannot reach in any case."""
     rows = list(map(robot.rows.index, joints))
     low, high = robot.limits.q_low[rows], robot.limits.q_high[rows]
     kind_of = scalar_kinds(robot)
     kinds = [kind_of[joint] for joint in joints]
-    units = {name: _si_units(name, kinds) for name in UNITS}
-    middle = 0.5 * (low + high)
-    reach = FAR * 0.5 * (high - low)
-    found = check_limits("q less its middle", samples.q - middle, reach, joints, units["q"])
-    if samples.v is not None:
-        fastest = np.array([FASTEST[kind] for kind in kinds])
-        found += check_limits("v", samples.v, fastest, joints, units["v"])
-    strongest = FAR * robot.limits.tau[rows]
-    return found + check_limits("tau", samples.tau, strongest, joints, units["tau"])
-
-
-def _si_units(name: str, kinds: Sequence[str]) -> list[str]:
-    """Return the SI unit of a signal for each joint: the first one of its kind."""
-    return [next(iter(UNITS[name][kind])) for kind in kinds]
+    fastest = np.array([log_checks.FASTEST[kind] for kind in kinds])
+    parts = {
+        "q": ("q less its middle", samples.q - 0.5 * (low + high), FAR * 0.5 * (high - low)),
+        "v": ("v", samples.v, fastest),
+        "tau": ("tau", samples.tau, FAR * robot.limits.tau[rows]),
+    }
+    found = []
+    for signal, (name, x, largest) in parts.items():
+        if x is not None:
+            # The first unit of its kind is the one of SI.
+            units = [next(iter(UNITS[signal][kind])) for kind in kinds]
+            found += log_checks.check_limits(name, x, largest, joints, units)
+    return found
 
 
 def _outside(robot: RobotModel, joints: Sequence[str], q: Array) -> list[Finding]:
@@ -217,9 +175,10 @@ def _outside(robot: RobotModel, joints: Sequence[str], q: Array) -> list[Finding
 
 
 def _robot_recording(
-    robot: RobotModel, joints: Sequence[str], samples: Samples, grid: Grid
+    log: LogDescription, robot: RobotModel, joints: Sequence[str], samples: Samples, grid: Grid
 ) -> Recording:
-    """Return q, v, tau (N, k) of the log's joints in the coordinates of the whole robot."""
+    """Return q, v, tau (N, k) of the log's joints in the coordinates of the whole robot, and the
+    wrenches of its force/torque sensors."""
     N = len(grid.times)
     joint_of = {dof: joint for joint in robot.joints for dof in joint.dofs}
     q = np.tile(robot.mj.qpos0, (N, 1))
@@ -237,6 +196,9 @@ def _robot_recording(
         rate=grid.rate,
         rows=robot.torque_rows,
         v=None if samples.v is None else v,
+        period=log.period,
+        wrench=samples.wrench,
+        wrench_rows=tuple(f"{part.sensor}.{row}" for part in log.wrench for row in COMPONENTS),
     )
 
 
@@ -244,12 +206,6 @@ def _coordinates(log: LogDescription, raw: Samples, grid: Grid) -> Recording | N
     """Return all recorded coordinates, without torques; None unless a transmission mixes them."""
     if log.transmission is None:
         return None
-    samples = raw.at(grid)
-    return Recording(
-        t=grid.times - grid.times[0],
-        q=samples.q,
-        tau=np.zeros_like(samples.q),
-        rate=grid.rate,
-        rows=log.joints,
-        v=samples.v,
-    )
+    samples, t = raw.at(grid), grid.times - grid.times[0]
+    no_torque = np.zeros_like(samples.q)
+    return Recording(t=t, q=samples.q, tau=no_torque, rate=grid.rate, rows=log.joints, v=samples.v)

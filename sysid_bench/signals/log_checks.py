@@ -75,23 +75,15 @@ class Finding:
 def check_findings(findings: Sequence[Finding], accepted: Sequence[str], where: str) -> None:
     """Raise UsageError for contradictions that were not accepted, or for an unknown name."""
     for name in accepted:
-        _check_name(name)
+        if name not in FINDINGS:
+            raise unknown_name("finding", name, FINDINGS, "Give --accept the names to let pass.")
     refused = [f for f in findings if f.contradiction and f.name not in accepted]
     if refused:
-        raise _refusal(refused, where)
-
-
-def _check_name(name: str) -> None:
-    if name not in FINDINGS:
-        raise unknown_name("finding", name, FINDINGS, "Give --accept the names to let pass.")
-
-
-def _refusal(refused: Sequence[Finding], where: str) -> UsageError:
-    names = ",".join(dict.fromkeys(finding.name for finding in refused))
-    return UsageError(
-        f"{where}: {'; '.join(finding.text for finding in refused)}. Fix the description, or "
-        f"go on with --accept {names}."
-    )
+        names = ",".join(dict.fromkeys(finding.name for finding in refused))
+        raise UsageError(
+            f"{where}: {'; '.join(finding.text for finding in refused)}. Fix the description, or "
+            f"go on with --accept {names}."
+        )
 
 
 def check_finite(*signals: Array) -> Array:
@@ -125,9 +117,8 @@ def check_samples(q: Array) -> list[Finding]:
     """
     scale = np.abs(np.diff(q, axis=0)).mean(axis=0) if len(q) > 1 else np.zeros(q.shape[1])
     q = q[:, scale > 0] / scale[scale > 0]
-    count = max(
-        (_lost_samples(q, reach) for reach in _REACHES if len(q) > 4 * reach + 1), default=0
-    )
+    reaches = (reach for reach in _REACHES if len(q) > 4 * reach + 1)
+    count = max((_lost_samples(q, reach) for reach in reaches), default=0)
     return [Finding("lost", count, f"samples that seem to be lost: {count}")] if count else []
 
 
@@ -172,14 +163,12 @@ def _speed_ratios(q: Array, v: Array, rate: float) -> Array:
     integral = np.zeros_like(v)
     integral[1:] = np.cumsum(0.5 * (v[1:] + v[:-1]), axis=0) / rate
     lags = [lag for lag in _LAGS if lag <= len(q) // 5]
-    return np.array([_speed_ratio(x, y, lags) for x, y in zip(q.T, integral.T, strict=True)])
-
-
-def _speed_ratio(x: Array, integral: Array, lags: Sequence[int]) -> float:
-    """Return the ratio of one joint at the lag of the highest correlation."""
-    pairs = [_correlation(x[lag:] - x[:-lag], integral[lag:] - integral[:-lag]) for lag in lags]
-    agreeing = [pair for pair in pairs if pair[0] > _AGREES]
-    return max(agreeing, key=itemgetter(0), default=(0.0, np.nan))[1]
+    ratios = []
+    for x, y in zip(q.T, integral.T, strict=True):
+        pairs = [_correlation(x[lag:] - x[:-lag], y[lag:] - y[:-lag]) for lag in lags]
+        agreeing = [pair for pair in pairs if pair[0] > _AGREES]
+        ratios.append(max(agreeing, key=itemgetter(0), default=(0.0, np.nan))[1])
+    return np.array(ratios)
 
 
 def _correlation(moved: Array, integrated: Array) -> tuple[float, float]:
@@ -201,16 +190,52 @@ def check_rates(
     agree; None where no joint agrees."""
     ratios = _speed_ratios(q, v, rate)
     agreeing = np.flatnonzero(np.isfinite(ratios))
-    found = _exchanged_columns(q, v, rate, joints, np.flatnonzero(~np.isfinite(ratios)))
+    found = _exchanged(q, v, rate, joints, np.flatnonzero(~np.isfinite(ratios)).tolist())
     if len(agreeing) == 0:
         return found, None
     # A wrong rate scales the ratios of all joints alike, wrong columns and units those of one.
     common = float(np.median(np.abs(ratios[agreeing])))
     if abs(common - 1) > _RATE_ERROR:
-        found.append(_wrong_rate(rate, common, len(q)))
+        text = (
+            f"a rate of {rate:.6g} Hz is declared, but v and the differences of q agree at "
+            f"{rate / common:.4g} Hz"
+        )
+        # The ratio of rad to deg.
+        if abs(common * 180 / np.pi - 1) < _RATE_ERROR:
+            text += ", or v is in deg/s, or q in rad"
+        elif abs(common * np.pi / 180 - 1) < _RATE_ERROR:
+            text += ", or q is in deg"
+        found.append(Finding("rate", len(q), text, contradiction=True))
     for j in agreeing.tolist():
-        found += _joint_rate(joints[j], ratios[j] / common, len(q), len(agreeing) > 1)
+        # How far the joint moves compared with the others.
+        relative = ratios[j] / common
+        if relative < 0:
+            text = f"v of joint {joints[j]!r} has the opposite sign of its q's motion"
+            found.append(Finding("velocity", len(q), text, contradiction=True))
+        elif len(agreeing) > 1 and abs(relative - 1) > _JOINT_ERROR:
+            text = (
+                f"joint {joints[j]!r} moves {relative:.3g} times as far as its v says, compared "
+                "with the other joints: check units, ratio and column"
+            )
+            contradiction = not 1 / _WRONG_COLUMN < relative < _WRONG_COLUMN
+            found.append(Finding("velocity", len(q), text, contradiction))
     return found, rate / common
+
+
+def _exchanged(
+    q: Array, v: Array, rate: float, joints: Sequence[str], disagreeing: list[int]
+) -> list[Finding]:
+    """Return findings of joints whose q does not agree with its own v, but with another's."""
+    found = []
+    for j in disagreeing:
+        others = np.isfinite(_speed_ratios(np.repeat(q[:, [j]], v.shape[1], axis=1), v, rate))
+        if others.any():
+            text = (
+                f"joint {joints[j]!r} moves as v of joint {joints[int(np.argmax(others))]!r} says, "
+                "not as its own: columns are exchanged"
+            )
+            found.append(Finding("velocity", len(q), text, contradiction=True))
+    return found
 
 
 def is_rate(x: Array, y: Array) -> bool:
@@ -223,56 +248,6 @@ def is_rate(x: Array, y: Array) -> bool:
     if not moving.any() or not np.isfinite(ratios).all():
         return False
     return bool(ratios.min() > 0 and ratios.max() <= (1 + _RATE_ERROR) * ratios.min())
-
-
-def _wrong_rate(rate: float, ratio: float, samples: int) -> Finding:
-    text = (
-        f"a rate of {rate:.6g} Hz is declared, but v and the differences of q agree at "
-        f"{rate / ratio:.4g} Hz{_degrees(ratio)}"
-    )
-    return Finding("rate", samples, text, contradiction=True)
-
-
-def _joint_rate(joint: str, relative: float, samples: int, compared: bool) -> list[Finding]:
-    """Return findings of one joint, whose distance over that of its v is `relative` times that of
-    all joints; `compared`: there are others."""
-    if relative < 0:
-        text = f"v of joint {joint!r} has the opposite sign of its q's motion"
-        return [Finding("velocity", samples, text, contradiction=True)]
-    if not compared or abs(relative - 1) <= _JOINT_ERROR:
-        return []
-    text = (
-        f"joint {joint!r} moves {relative:.3g} times as far as its v says, compared "
-        "with the other joints: check units, ratio and column"
-    )
-    contradiction = not 1 / _WRONG_COLUMN < relative < _WRONG_COLUMN
-    return [Finding("velocity", samples, text, contradiction)]
-
-
-def _degrees(ratio: float) -> str:
-    """Return the advice on units where a ratio of speeds is that of rad to deg."""
-    if abs(ratio * 180 / np.pi - 1) < _RATE_ERROR:
-        return ", or v is in deg/s, or q in rad"
-    if abs(ratio * np.pi / 180 - 1) < _RATE_ERROR:
-        return ", or q is in deg"
-    return ""
-
-
-def _exchanged_columns(
-    q: Array, v: Array, rate: float, joints: Sequence[str], disagreeing: Array
-) -> list[Finding]:
-    """Return findings of joints whose q does not agree with its own v, but with another's."""
-    found = []
-    for j in disagreeing:
-        ratios = _speed_ratios(np.repeat(q[:, [j]], v.shape[1], axis=1), v, rate)
-        others = np.flatnonzero(np.isfinite(ratios))
-        if len(others):
-            text = (
-                f"joint {joints[j]!r} moves as v of joint {joints[others[0]]!r} says, not as its "
-                "own: columns are exchanged"
-            )
-            found.append(Finding("velocity", len(q), text, contradiction=True))
-    return found
 
 
 def check_limits(

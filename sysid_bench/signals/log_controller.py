@@ -41,29 +41,23 @@ def with_controller(
             f"{log.source}: the controller tracks q_ref, which is missing; write q_ref = "
             "{ columns = [...] } for the commanded positions."
         )
-    each = _multiple(log, recording.rate)
+    # Whole number of control periods in a sample of the log.
+    each = least = control_steps(recording.rate)
+    if log.controller.rate is not None:
+        stated = quantity(log.controller.rate, "Hz")
+        each = round(stated / recording.rate)
+        if each < 1 or abs(stated / recording.rate - each) > OFF * each:
+            raise UsageError(
+                f"{log.source}: controller.rate must be a multiple of the log's "
+                f"{recording.rate:.6g} Hz; got {stated:g} Hz. Leave it out for "
+                f"{least * recording.rate:.6g} Hz."
+            )
     rate = each * recording.rate
     kp, kd = (_gains(log, robot, joints, name) for name in ("kp", "kd"))
     t = np.arange((len(recording) - 1) * each + 1) / rate
     motion = _commanded(robot, joints, samples, recording.t, t)
     controller = Controller(kp, kd, rate, 0.5 * rate, log.controller.held)
     return replace(recording, commanded=motion, controller=controller)
-
-
-def _multiple(log: LogDescription, rate: float) -> int:
-    """Return the whole number of control periods in a sample of the log."""
-    assert log.controller is not None
-    least = control_steps(rate)
-    if log.controller.rate is None:
-        return least
-    stated = quantity(log.controller.rate, "Hz")
-    each = round(stated / rate)
-    if each < 1 or abs(stated / rate - each) > OFF * each:
-        raise UsageError(
-            f"{log.source}: controller.rate must be a multiple of the log's {rate:.6g} Hz; got "
-            f"{stated:g} Hz. Leave it out for {least * rate:.6g} Hz."
-        )
-    return each
 
 
 def control_steps(rate: float) -> int:
@@ -89,20 +83,12 @@ def _commanded(
     """Return the commanded motion at times t (M,) from samples at `at` (N,)."""
     assert samples.q_ref is not None
     position = scipy.interpolate.CubicSpline(at, samples.q_ref)
-    rate = (
-        position.derivative()
-        if samples.v_ref is None
-        else scipy.interpolate.CubicSpline(at, samples.v_ref)
-    )
+    rate = position.derivative()
+    if samples.v_ref is not None:
+        rate = scipy.interpolate.CubicSpline(at, samples.v_ref)
     q = np.tile(robot.mj.qpos0, (len(t), 1))
     v, a = np.zeros((len(t), robot.nv)), np.zeros((len(t), robot.nv))
-    at_q, at_v = _addresses(robot, joints)
+    joint_of = {dof: joint for joint in robot.joints for dof in joint.dofs}
+    at_q, at_v = ([getattr(joint_of[name], key) for name in joints] for key in ("qadr", "vadr"))
     q[:, at_q], v[:, at_v], a[:, at_v] = position(t), rate(t), rate.derivative()(t)
     return robot.completed(Trajectory(t, q, v, a, "commanded"))
-
-
-def _addresses(robot: RobotModel, joints: Sequence[str]) -> tuple[list[int], list[int]]:
-    """Return the columns of joints in q and in v."""
-    joint_of = {dof: joint for joint in robot.joints for dof in joint.dofs}
-    moved = [joint_of[name] for name in joints]
-    return [joint.qadr for joint in moved], [joint.vadr for joint in moved]

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, first_names
+from sysid_bench.signals.column_names import usual_columns
 from sysid_bench.signals.log_description import LogDescription, description_of
 from sysid_bench.signals.log_keys import SIGNALS
 from sysid_bench.signals.log_table import LogTable, table_of_arrays
@@ -16,9 +17,6 @@ TIME: Final = "t"
 
 LogLike = Any
 """Path of the description of a recording, its description, a data frame or a mapping of arrays."""
-
-_WORDS: Final = {"q": "position", "v": "velocity", "tau": "effort"}
-"""Words in the names of ROS columns, `<joint>_position`."""
 
 
 def log_of(
@@ -36,10 +34,18 @@ def log_of(
     source = Path(name)
     table = table_of_arrays(source, _arrays(source, data))
     given = dict(description or {})
-    written = [key for key in ("file", "reader") if key in given]
-    if written:
-        raise UsageError(f"{name}: {written[0]} is for recorded files; these numbers are given.")
-    return description_of({**_by_convention(table, given), **given}, source, table)
+    for key in ("file", "reader"):
+        if key in given:
+            raise UsageError(f"{name}: {key} is for recorded files; these numbers are given.")
+    if "joints" not in given:
+        given["joints"] = _joints(table)
+    for signal in SIGNALS:
+        columns = usual_columns(table.names, signal, given["joints"])
+        if columns:
+            given.setdefault(signal, {"columns": columns})
+    if "rate" not in given and TIME in table.names:
+        given.setdefault("time", TIME)
+    return description_of(given, source, table)
 
 
 def _is_data(value: Any) -> bool:
@@ -50,15 +56,15 @@ def _is_data(value: Any) -> bool:
 def log_list(given: LogLike | Sequence[LogLike], name: str) -> tuple[Path | LogDescription, ...]:
     """Return paths of descriptions, and logs of numbers in memory, which are called `name`."""
     is_one = isinstance(given, (str, Path, LogDescription)) or _is_data(given)
-    several = [given] if is_one else list(given)
-    names = [name] if len(several) == 1 else [f"{name}{n}" for n in range(1, len(several) + 1)]
-    return tuple(_log(one, label) for one, label in zip(several, names, strict=True))
-
-
-def _log(given: LogLike, name: str) -> Path | LogDescription:
-    if isinstance(given, LogDescription):
-        return given
-    return log_of(given, name=name) if _is_data(given) else Path(given)
+    logs: list[Path | LogDescription] = []
+    for n, one in enumerate([given] if is_one else list(given), start=1):
+        if isinstance(one, LogDescription):
+            logs.append(one)
+        elif _is_data(one):
+            logs.append(log_of(one, name=name if is_one or len(given) == 1 else f"{name}{n}"))
+        else:
+            logs.append(Path(one))
+    return tuple(logs)
 
 
 def _arrays(source: Path, data: Any) -> dict[str, Array]:
@@ -71,15 +77,10 @@ def _arrays(source: Path, data: Any) -> dict[str, Array]:
     found = {str(key).strip(): _numbers(np.asarray(data[key])) for key in keys}
     if len(found) < len(keys):
         raise UsageError(f"{source}: two columns have the same name; rename one.")
-    if TIME not in found and _has_stamps(data):
-        found[TIME] = _numbers(np.asarray(data.index))
+    index = getattr(data, "index", None)
+    if TIME not in found and getattr(index, "dtype", np.dtype(float)).kind in "mM":
+        found[TIME] = _numbers(np.asarray(index))
     return found
-
-
-def _has_stamps(data: Any) -> bool:
-    """Test whether the index of a data frame holds times."""
-    dtype = getattr(getattr(data, "index", None), "dtype", None)
-    return dtype is not None and dtype.kind in "mM"
 
 
 def _numbers(x: Any) -> Array:
@@ -89,54 +90,15 @@ def _numbers(x: Any) -> Array:
     return np.asarray((x - x[0]) / np.timedelta64(1, "s"))
 
 
-def _by_convention(table: LogTable, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys that follow from the names of the columns."""
-    keys: dict[str, Any] = {}
-    if "joints" not in given:
-        keys["joints"] = _joints(table)
-    joints = given.get("joints", keys.get("joints"))
-    keys |= _signal_keys(table, joints, given)
-    if "time" not in given and "rate" not in given and TIME in table.names:
-        keys["time"] = TIME
-    return keys
-
-
-def _signal_keys(
-    table: LogTable, joints: Sequence[str], given: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return the columns of the signals that are not `given`, where the table has them."""
-    names = [signal for signal in SIGNALS if signal not in given]
-    found = {signal: signal_columns(table.names, signal, joints) for signal in names}
-    return {signal: {"columns": columns} for signal, columns in found.items() if columns}
-
-
-def signal_columns(names: Any, signal: str, joints: Sequence[str]) -> list[str]:
-    """Return the columns of a signal for some joints by the usual names, [] where they are not all
-    there: one for each joint, or an array."""
-    for pattern in (f"{signal}_{{}}", f"{{}}_{_WORDS.get(signal, signal)}"):
-        columns = [pattern.format(joint) for joint in joints]
-        if columns and set(columns).issubset(names):
-            return columns
-    array = (signal, _WORDS.get(signal, signal))
-    return next(([name] for name in array if name in names), [])
-
-
 def _joints(table: LogTable) -> list[str]:
-    """Return the joints in the names of the columns.
-
-    Raises UsageError where the names contain none.
-    """
-    names = list(table.names)
-    found = _stems(names)
+    """Return the joints in the names of their positions, q_JOINT or else JOINT_position; raises
+    UsageError where the names contain none."""
+    names, end = list(table.names), "_position"
+    found = [name.removeprefix("q_") for name in names if name.startswith("q_")]
+    found = found or [name.removesuffix(end) for name in names if name.endswith(end)]
     if not found:
         raise UsageError(
             f"{table.path}: which joints? The columns {first_names(names, 6) or '(without names)'} "
             "do not name them; give log_of(data, {'joints': [...]})."
         )
     return found
-
-
-def _stems(names: Sequence[str]) -> list[str]:
-    """Return the names of joints in those of their positions, q_JOINT or else JOINT_position."""
-    found = [name.removeprefix("q_") for name in names if name.startswith("q_")]
-    return found or [name.removesuffix("_position") for name in names if name.endswith("_position")]

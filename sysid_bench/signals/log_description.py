@@ -14,33 +14,33 @@ from sysid_bench.errors import UsageError
 from sysid_bench.input_files import is_file, parse_toml, read_text
 from sysid_bench.models.data_sets import SCHEME, find_motion
 from sysid_bench.plugin_names import resolve_files
-from sysid_bench.signals.log_keys import (
-    COMMANDED,
-    SIGNALS,
-    Base,
-    ControllerKeys,
-    LogKeys,
-    Signal,
-    Source,
-    Time,
-    Torque,
-    Wrench,
-    check_keys,
-)
-from sysid_bench.signals.log_preset import preset_note, with_preset
-from sysid_bench.signals.log_reader import (
-    ReaderSpec,
-    package_reader,
-    read_table,
-    reader_files,
-    recorded_files,
-)
+from sysid_bench.signals import log_keys, log_reader
+from sysid_bench.signals.log_keys import COMMANDED, SIGNALS, Signal, Source, Time
+from sysid_bench.signals.log_reader import ReaderSpec
 from sysid_bench.signals.log_table import LogTable
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
 
 NO_JOINT: Final = "-"
 """Stands in `joints` for a recorded coordinate that is not a joint of the model (a gripper's)."""
+
+_UNCHANGED: Final = (
+    *(
+        "joints",
+        "q",
+        "v",
+        "tau",
+        "q_ref",
+        "v_ref",
+        "wrench",
+        "base",
+        "time",
+        "reader",
+        "controller",
+    ),
+    *("payload", "rows", "share", "locked"),
+)
+"""Keys that a description has as they are written."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class LogDescription:
     source: Path
     joints: tuple[str, ...]
     q: Signal
-    tau: Torque
+    tau: log_keys.Torque
     v: Signal | None = None
     file: str | None = None  # relative to `source`, or below the folder in a variable
     rate: float | None = None
@@ -75,11 +75,11 @@ class LogDescription:
     reader: str | Mapping[str, Any] | None = None
     sources: tuple[Source, ...] = ()
     data: LogTable | None = None
-    controller: ControllerKeys | None = None
+    controller: log_keys.ControllerKeys | None = None
     q_ref: Signal | None = None
     v_ref: Signal | None = None
-    wrench: tuple[Wrench, ...] = ()
-    base: Base | None = None
+    wrench: tuple[log_keys.Wrench, ...] = ()
+    base: log_keys.Base | None = None
 
     @property
     def has_torque(self) -> bool:
@@ -93,12 +93,9 @@ class LogDescription:
         names = (*SIGNALS, *COMMANDED) if self.controller is not None else SIGNALS
         parts: dict[str, Signal | None] = {name: getattr(self, name) for name in names}
         found = {name: part for name, part in parts.items() if part is not None}
-        if self.tau.pd is not None:
+        if self.tau.pd is not None or not self.has_torque:
             del found["tau"]
-            found |= self.tau.pd.signals
-        elif not self.has_torque:
-            del found["tau"]
-        return found
+        return found if self.tau.pd is None else found | self.tau.pd.signals
 
     @property
     def columns(self) -> list[Signal]:
@@ -136,9 +133,15 @@ class LogDescription:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that the signals depend on, once each: recordings, and code of plug-in readers."""
-        specs = [(self.file_of(part), self.reader_of(part)) for part in self.file_entries]
-        recorded = [file for path, reader in specs for file in _present(path, reader)]
-        code = (file for item in specs for file in reader_files(*item))
+        recorded: list[Path] = []
+        code: list[Path] = []
+        for part in self.file_entries:
+            path, reader = self.file_of(part), self.reader_of(part)
+            try:
+                recorded += log_reader.recorded_files(path, reader)
+            except UsageError:  # an absent recording stands for itself
+                recorded.append(path)
+            code += log_reader.reader_files(path, reader)
         return tuple(dict.fromkeys([*recorded, *code]))
 
     def joint_values(self, name: str, numbers: Sequence[float]) -> Array:
@@ -196,7 +199,7 @@ def with_controller(log: LogDescription, given: Mapping[str, Any] | None) -> Log
     """Return a description with a controller in place of its own; None: its own stays."""
     if given is None:
         return log
-    return replace(log, controller=ControllerKeys.model_validate(given))
+    return replace(log, controller=log_keys.ControllerKeys.model_validate(given))
 
 
 def name_of(written: str | Mapping[str, Any]) -> str:
@@ -205,13 +208,10 @@ def name_of(written: str | Mapping[str, Any]) -> str:
         return PurePath(written).stem
     if "name" in written:
         return str(written["name"])
-    return PurePath(str(_first_file(written) or written.get("use") or "log")).stem
-
-
-def _first_file(written: Mapping[str, Any]) -> Any:
     file = written.get("file")
     first = file[0] if isinstance(file, list) and file else file
-    return first.get("file") if isinstance(first, Mapping) else first
+    first = first.get("file") if isinstance(first, Mapping) else first
+    return PurePath(str(first or written.get("use") or "log")).stem
 
 
 def _read_keys(written: str, folder: Path) -> tuple[dict[str, Any], Path]:
@@ -234,14 +234,6 @@ def _read_keys(written: str, folder: Path) -> tuple[dict[str, Any], Path]:
         raise UsageError(f"{source} is not valid TOML: {error}.") from error
 
 
-def _present(path: Path, reader: ReaderSpec | None) -> tuple[Path, ...]:
-    """Return the files of a recording, itself where it is absent."""
-    try:
-        return recorded_files(path, reader)
-    except UsageError:
-        return (path,)
-
-
 def description_of(
     text: Mapping[str, Any], source: Path, data: LogTable | None = None
 ) -> LogDescription:
@@ -249,36 +241,26 @@ def description_of(
 
     Raises UsageError with all mistakes.
     """
-    keys = with_preset(text, source)
-    written = check_keys(keys, source, _advice(keys, source))
+    keys = log_keys.with_preset(text, source)
+    written = log_keys.check_keys(keys, source, _advice(keys, source))
     if written.rate is None and written.time is None and isinstance(written.file, str | None):
         raise UsageError(
             f"{source}: neither rate nor time is given; write rate = '200 Hz', or time = the "
             "column of time stamps."
         )
+    rows = written.rows
+    if rows is not None and not 1 <= rows[0] < rows[1]:
+        raise UsageError(f"{source}: rows must be [first, last], counted from 1; got {list(rows)}.")
+    unchanged = {name: getattr(written, name) for name in _UNCHANGED}
     description = LogDescription(
+        **unchanged,
         source=source,
-        joints=written.joints,
-        q=written.q,
-        v=written.v,
-        tau=written.tau,
         file=written.file if isinstance(written.file, str) else None,
-        rate=_positive("rate", written.rate, "Hz", source),
-        time=written.time,
-        transmission=_transmission(written, source),
-        payload=written.payload,
-        rows=_rows(written.rows, source),
-        share=written.share,
-        locked=written.locked,
-        period=_positive("period", written.period, "s", source),
-        reader=written.reader,
         sources=written.file if isinstance(written.file, tuple) else (),
+        rate=_positive("rate", written.rate, "Hz", source),
+        period=_positive("period", written.period, "s", source),
+        transmission=_transmission(written, source),
         data=data,
-        controller=written.controller,
-        q_ref=written.q_ref,
-        v_ref=written.v_ref,
-        wrench=written.wrench,
-        base=written.base,
     )
     _check_joints(description)
     return description
@@ -291,9 +273,11 @@ def _advice(keys: Mapping[str, Any], source: Path) -> str:
     try:
         path = source.parent / _expanded(keys["file"], source)
         # A reader that is not ours is foreign code, which a description alone must not run.
-        return preset_note(read_table(path).names) if package_reader(path) else ""
+        if log_reader.package_reader(path):
+            return log_keys.preset_note(log_reader.read_table(path).names)
     except UsageError:
-        return ""
+        pass
+    return ""
 
 
 def _expanded(written: str, source: Path) -> str:
@@ -324,13 +308,7 @@ def _positive(key: str, written: str | float | None, unit: str, source: Path) ->
     return value
 
 
-def _rows(rows: tuple[int, int] | None, source: Path) -> tuple[int, int] | None:
-    if rows is not None and not 1 <= rows[0] < rows[1]:
-        raise UsageError(f"{source}: rows must be [first, last], counted from 1; got {list(rows)}.")
-    return rows
-
-
-def _transmission(written: LogKeys, source: Path) -> Array | None:
+def _transmission(written: log_keys.LogKeys, source: Path) -> Array | None:
     if written.transmission is None:
         return None
     k = len(written.joints)
@@ -340,10 +318,7 @@ def _transmission(written: LogKeys, source: Path) -> Array | None:
             f"{source}: transmission must be {k} rows of {k} numbers, one for each joint; got "
             f"{len(lengths)} rows of {', '.join(map(str, lengths))}."
         )
-    return _invertible(np.array(written.transmission), source)
-
-
-def _invertible(G: Array, source: Path) -> Array:
+    G = np.array(written.transmission)
     # A matrix that is singular up to the digits written down amplifies noise without bound.
     if not np.isfinite(G).all() or np.linalg.cond(G) > 1e8:
         raise UsageError(
@@ -354,47 +329,27 @@ def _invertible(G: Array, source: Path) -> Array:
 
 
 def _check_joints(log: LogDescription) -> None:
-    """Raise UsageError for wrong names of joints, and for settings that do not fit them."""
-    _check_names(log)
-    for name, part in log.signals.items():
-        _check_signal(log, name, part)
-
-
-def _check_names(log: LogDescription) -> None:
-    """Raise UsageError for a joint named twice, and without any."""
+    """Raise UsageError for a joint named twice, without any, and for settings of signals that do
+    not fit them: a wrong count, numbers that are not finite, a gain or a ratio of zero."""
     twice = {joint for joint, count in Counter(log.joints).items() if count > 1} - {NO_JOINT}
     if twice:
         raise UsageError(f"{log.source}: joints names {', '.join(sorted(twice))} more than once.")
     if set(log.joints) <= {NO_JOINT}:
         raise UsageError(f"{log.source}: joints names no joint of the robot.")
-
-
-def _check_signal(log: LogDescription, name: str, part: Signal) -> None:
-    for setting in ("gain", "ratio", "offset"):
-        _check_setting(log, f"{name}.{setting}", getattr(part, setting), setting == "offset")
-    if part.unit is not None and len(part.unit) not in (1, len(log.joints)):
-        raise UsageError(
-            f"{log.source}: {name}.unit has {len(part.unit)} units; write one, or one for each "
-            f"of the {len(log.joints)} joints."
-        )
-
-
-def _check_setting(log: LogDescription, key: str, numbers: Sequence[float], zero: bool) -> None:
-    """Raise UsageError for a wrong count of numbers, and unless all are finite and, without
-    `zero`, not zero."""
-    values = log.joint_values(key, numbers)
-    if not (np.isfinite(values) & ((values != 0) | zero)).all():
-        raise UsageError(
-            f"{log.source}: {key} must be finite{'' if zero else ' and not zero'}; got "
-            f"{values.tolist()}."
-        )
-
-
-DESCRIPTION: Final = (
-    "file = '{}', rate = '200 Hz', joints = ['j1'], q = {{ columns = [1], unit = 'rad' }}, "
-    "tau = {{ columns = [2], unit = 'N m' }}, one key a line."
-)
-"""Smallest description of a recording, with the name of its file left open."""
+    for name, part in log.signals.items():
+        for setting in ("gain", "ratio", "offset"):
+            values = log.joint_values(f"{name}.{setting}", getattr(part, setting))
+            zero = setting == "offset"
+            if not (np.isfinite(values) & ((values != 0) | zero)).all():
+                raise UsageError(
+                    f"{log.source}: {name}.{setting} must be finite"
+                    f"{'' if zero else ' and not zero'}; got {values.tolist()}."
+                )
+        if part.unit is not None and len(part.unit) not in (1, len(log.joints)):
+            raise UsageError(
+                f"{log.source}: {name}.unit has {len(part.unit)} units; write one, or one for each "
+                f"of the {len(log.joints)} joints."
+            )
 
 
 def find_description(file: Path | LogDescription) -> LogDescription:
@@ -410,5 +365,7 @@ def find_description(file: Path | LogDescription) -> LogDescription:
         raise UsageError(
             f"{str(file)!r} is not the description of a recording. Let sysid-bench init log "
             f"{file.name} --model MODEL write one, or write a TOML file that names its data and "
-            f"its columns, and give that: {DESCRIPTION.format(file.name)}"
+            f"its columns, and give that: file = '{file.name}', rate = '200 Hz', joints = ['j1'], "
+            "q = { columns = [1], unit = 'rad' }, tau = { columns = [2], unit = 'N m' }, one key a "
+            "line."
         ) from error

@@ -1,12 +1,15 @@
-"""Keys of a log description as written, with their types; pydantic checks them."""
+"""Keys of a log description as written, with their types, which pydantic checks; and presets: the
+column names of common recorders, as data."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from sysid_bench.errors import UsageError, unknown_name, value_errors
+from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.units import quantity
 
 SIGNALS: Final = ("q", "v", "tau")
@@ -33,13 +36,10 @@ def _columns(value: Any) -> Any:
 
 
 def _gains(value: Any) -> Any:
+    """Names are columns, numbers are gains."""
     names = value if isinstance(value, (list, tuple)) else [value]
     if names and all(isinstance(name, str) for name in names):
         return {"columns": value}
-    return _one_or_more_numbers(value)
-
-
-def _one_or_more_numbers(value: Any) -> Any:
     return value if isinstance(value, (Mapping, BaseModel)) else _one_or_more(value)
 
 
@@ -47,12 +47,8 @@ _Several = BeforeValidator(_one_or_more)
 _Column = Annotated[int | str, Field(union_mode="left_to_right")]
 
 
-def _is_list_of_lists(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(row, list) for row in value)
-
-
 def _matrix(value: Any) -> Any:
-    if not _is_list_of_lists(value):
+    if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
         raise ValueError("must be a list of rows, [[1, 0], [1, 1]]")
     return tuple(tuple(row) for row in value)
 
@@ -289,31 +285,24 @@ def check_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKe
     try:
         return LogKeys.model_validate({**text, "tau": NoTorque()} if absent else text)
     except ValidationError as error:
-        lines = "; ".join(dict.fromkeys(_lines(error)))
-        raise UsageError(f"{source}: {lines}.{advice}") from error
-
-
-def _lines(mistakes: ValidationError) -> Iterator[str]:
-    """Yield a sentence for each mistake."""
-    values = []
-    for problem in mistakes.errors():
-        key = ".".join(str(part) for part in problem["loc"])
-        if problem["type"] == "extra_forbidden":
-            error = unknown_name("key of a log description", key, _known_keys(problem["loc"]))
-            yield str(error).rstrip(".")
-        elif problem["type"] == "missing":
-            yield f"{key} is missing"
-        else:
-            values.append(problem)
-    yield from (f"{key}: {text}" for key, text in value_errors(values).items())
+        lines, values = [], []
+        for problem in error.errors():
+            key = ".".join(map(str, problem["loc"]))
+            if problem["type"] == "extra_forbidden":
+                unknown = unknown_name("key of a log description", key, _known_keys(problem["loc"]))
+                lines.append(str(unknown).rstrip("."))
+            elif problem["type"] == "missing":
+                lines.append(f"{key} is missing")
+            else:
+                values.append(problem)
+        lines += [f"{key}: {text}" for key, text in value_errors(values).items()]
+        raise UsageError(f"{source}: {'; '.join(dict.fromkeys(lines))}.{advice}") from error
 
 
 def _known_keys(path: tuple[Any, ...]) -> set[str]:
+    """Return the keys of the table in which a key stands, with the place of the table."""
     if len(path) == 1:
         return {*LogKeys.model_fields, "preset"}
-    if path[:2] == ("tau", "pd"):
-        known = PositionControl if len(path) == 3 else Signal
-        return _keys_at(path[:-1], known)
     tables: dict[Any, type[BaseModel]] = {
         "time": Time,
         "tau": Torque,
@@ -322,10 +311,54 @@ def _known_keys(path: tuple[Any, ...]) -> set[str]:
         "wrench": Wrench,
         "base": Base if len(path) == 2 else Signal,
     }
-    # The number of a file or a sensor in a list is not part of the key.
-    place = [part for part in path[:-1] if isinstance(part, str)]
-    return _keys_at(place, tables.get(path[0], Signal))
-
-
-def _keys_at(place: Iterable[Any], table: type[BaseModel]) -> set[str]:
+    table, place = tables.get(path[0], Signal), path[:-1]
+    if path[:2] == ("tau", "pd"):
+        table = PositionControl if len(path) == 3 else Signal
+    else:
+        # The number of a file or a sensor in a list is not part of the key.
+        place = tuple(part for part in place if isinstance(part, str))
     return {".".join(map(str, (*place, key))) for key in table.model_fields}
+
+
+@cache
+def preset_keys() -> dict[str, dict[str, Any]]:
+    """Return the presets by name."""
+    return parse_toml(read_text(Path(__file__).with_name("log_preset.toml")))
+
+
+def with_preset(text: Mapping[str, Any], source: Path) -> dict[str, Any]:
+    """Return the keys of a description, completed by those of its preset.
+
+    Raises UsageError for an unknown preset.
+    """
+    given = dict(text)
+    name = given.pop("preset", None)
+    if name is None:
+        return given
+    if name not in preset_keys():
+        raise UsageError(f"{source}: {unknown_name('preset', str(name), preset_keys())}")
+    keys = {k: x for k, x in preset_keys()[name].items() if k not in ("title", "needs")}
+    if "rate" in given:
+        keys.pop("time")
+    for key, value in given.items():
+        before, keys[key] = keys.get(key), value
+        # Of a signal the description replaces single keys.
+        tables = isinstance(before, Mapping) and isinstance(value, Mapping)
+        if before is not None and tables and key in (*SIGNALS, *COMMANDED):
+            left_out = ("match",) if "columns" in value else ()
+            keys[key] = {**{k: x for k, x in before.items() if k not in left_out}, **value}
+    return keys
+
+
+def find_preset(names: Collection[str]) -> str | None:
+    """Return the preset whose columns a file has, None without one."""
+    fitting = (name for name, keys in preset_keys().items() if set(keys["needs"]) <= set(names))
+    return next(fitting, None)
+
+
+def preset_note(names: Collection[str]) -> str:
+    """Return a sentence that proposes the preset whose columns a file has, "" without one."""
+    name = find_preset(names)
+    if name is None:
+        return ""
+    return f" Its columns are those of {preset_keys()[name]['title']}: write preset = {name!r}."

@@ -67,7 +67,8 @@ def recorded_files(path: Path, reader: ReaderSpec | None = None) -> tuple[Path, 
         return (path,)
     use = _reader_spec(path, reader)["use"]
     # What a plug-in reads in a folder is not asked: that would run its code.
-    patterns = _folder_files(use) if plugin_names.is_of_package(KIND, use) else ("**/*",)
+    of_package = plugin_names.is_of_package(KIND, use)
+    patterns = _declared(use, "folder_files") if of_package else ("**/*",)
     if not patterns:
         raise UsageError(_NOT_A_FILE.format(str(path)))
     found = chain.from_iterable(islice(path.glob(one), _MOST_FILES) for one in patterns)
@@ -84,9 +85,10 @@ def _state(path: Path) -> tuple[int, int]:
     return state.st_mtime_ns, state.st_size
 
 
-def _folder_files(name: str) -> tuple[str, ...]:
-    """Return the patterns of the files of a folder that a reader reads, the first marks it."""
-    found: tuple[str, ...] = getattr(plugin_names.resolve(KIND, name), "folder_files", ())
+def _declared(name: str, attribute: str) -> tuple[str, ...]:
+    """Return the suffixes of a reader, or the patterns of the files of a folder that it reads, of
+    which the first marks the folder."""
+    found: tuple[str, ...] = getattr(plugin_names.resolve(KIND, name), attribute, ())
     return found
 
 
@@ -105,14 +107,9 @@ def _table(path: Path, state: tuple[tuple[int, int], ...], make: Any, settings: 
         raise UsageError(
             f"{path}: the log reader {spec['use']!r} failed with {reason_of(error)}."
         ) from error
-    return _valid_table(table, path, spec["use"])
-
-
-def _valid_table(table: Any, path: Path, use: str) -> LogTable:
-    """Return what a reader returned; raises UsageError unless it is a table."""
     if not isinstance(table, LogTable) or table.values.ndim != 2:
         raise UsageError(
-            f"{path}: the log reader {use!r} must return a LogTable with values (N, c)."
+            f"{path}: the log reader {spec['use']!r} must return a LogTable with values (N, c)."
         )
     return table
 
@@ -128,38 +125,14 @@ def _reader_spec(path: Path, reader: ReaderSpec | None = None) -> Mapping[str, A
         if not isinstance(reader.get("use"), str):
             raise UsageError(f"A log reader needs a name: {{ use = ... }}; got {dict(reader)}.")
         return reader
-    return {"use": _reader_by_suffix(path)}
-
-
-def package_reader(path: Path) -> str | None:
-    """Return the reader of this package for the suffix of a file, or for the files in a folder;
-    None without one."""
-    names = plugin_names.BUILTIN[KIND]
-    if is_folder(path):
-        return next((name for name in names if _marks(name, path)), None)
-    return next((name for name in names if path.suffix.lower() in _suffixes(name)), None)
-
-
-def _marks(name: str, folder: Path) -> bool:
-    """Test whether a folder holds the file that marks those of a reader."""
-    patterns = _folder_files(name)
-    return bool(patterns) and is_file(folder / patterns[0])
-
-
-def _suffixes(name: str) -> tuple[str, ...]:
-    suffixes: tuple[str, ...] = getattr(plugin_names.resolve(KIND, name), "suffixes", ())
-    return suffixes
-
-
-def _reader_by_suffix(path: Path) -> str:
     if (found := package_reader(path)) is not None:
-        return found
+        return {"use": found}
     if is_folder(path):
         raise UsageError(_NOT_A_FILE.format(str(path)))
-    known = {name: _suffixes(name) for name in plugin_names.known(KIND)}
+    known = {name: _declared(name, "suffixes") for name in plugin_names.known(KIND)}
     for name, suffixes in known.items():
         if path.suffix.lower() in suffixes:
-            return name
+            return {"use": name}
     every = dict.fromkeys(chain.from_iterable(known.values()))
     raise UsageError(
         f"{path}: no log reader for files that end in {path.suffix.lower()!r}. Readers exist for "
@@ -168,22 +141,26 @@ def _reader_by_suffix(path: Path) -> str:
     )
 
 
+def package_reader(path: Path) -> str | None:
+    """Return the reader of this package for the suffix of a file, or for the files in a folder;
+    None without one."""
+    is_one = is_folder(path)
+    for name in plugin_names.BUILTIN[KIND]:
+        marks = _declared(name, "folder_files")[:1] if is_one else _declared(name, "suffixes")
+        if any(is_file(path / mark) if is_one else path.suffix.lower() == mark for mark in marks):
+            return name
+    return None
+
+
 def reader_files(path: Path, reader: ReaderSpec | None = None) -> list[Path]:
     """Return the Python files of third-party readers that may read a file; none is imported.
 
     What is read depends on their code, so rows made with it are stale when that changes. A suffix
     that is not ours may belong to any of the installed ones.
     """
-    foreign = [
-        name for name in _candidates(path, reader) if not plugin_names.is_of_package(KIND, name)
-    ]
+    names = [*plugin_names.known(KIND)] if package_reader(path) is None else []
+    if reader is not None:
+        names = [_reader_spec(path, reader)["use"]]
+    foreign = [name for name in names if not plugin_names.is_of_package(KIND, name)]
     files = [plugin_names.source_file(KIND, name) for name in foreign]
     return [file for file in files if file is not None]
-
-
-def _candidates(path: Path, reader: ReaderSpec | None) -> list[str]:
-    """Return the names of readers that may read a file: the one given, else all that exist, unless
-    a reader of ours is known for it."""
-    if reader is not None:
-        return [_reader_spec(path, reader)["use"]]
-    return [*plugin_names.known(KIND)] if package_reader(path) is None else []

@@ -1,4 +1,5 @@
-"""Tables that signals of a log come from: its file, their own files, or several joined by time."""
+"""Tables and time stamps that a log comes from: its file, files of single signals, or several that
+are joined by time."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -12,13 +13,14 @@ import numpy as np
 from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.signals.log_checks import Finding
 from sysid_bench.signals.log_description import LogDescription
-from sysid_bench.signals.log_keys import Signal, Source, Time
-from sysid_bench.signals.log_preset import preset_note
+from sysid_bench.signals.log_keys import Signal, Source, Time, preset_note
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_table import LogTable, table_of_rows
-from sysid_bench.signals.log_times import check_times, read_times
+from sysid_bench.signals.time_base import check_times
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
+
+_SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 _WIDE: Final = 5.0
 """Median steps; in longer gaps of a file its signals have no values at the stamps of another."""
@@ -27,25 +29,20 @@ _WIDE: Final = 5.0
 def table_of(log: LogDescription, part: Signal | Time) -> LogTable:
     """Return the table of a signal, a row per sample, or of the stamps; raises UsageError for files
     or columns that do not exist."""
-    table = _whole_table(log, part)
+    if log.data is not None:
+        table = log.data
+    elif log.sources and part.file is None:
+        table = merge_sources(log).table
+    else:
+        table = read_table(log.file_of(part), log.reader_of(part))
     if isinstance(part, Signal) and part.per_row is not None:
         return table_of_rows(table, part.per_row)
     return table
 
 
-def _whole_table(log: LogDescription, part: Signal | Time) -> LogTable:
-    if log.data is not None:
-        return log.data
-    if log.sources and part.file is None:
-        return merge_sources(log).table
-    return read_table(log.file_of(part), log.reader_of(part))
-
-
 def select_columns(log: LogDescription, part: Signal, table: LogTable) -> tuple[int | str, ...]:
     """Return the columns of a signal: those written, or those whose names match."""
-    if part.match is None or (log.sources and part.file is None):
-        return part.columns or tuple(_matching(log, part.match or "", table.names))
-    return tuple(_matching(log, part.match, table.names))
+    return part.columns if part.match is None else tuple(_matching(log, part.match, table.names))
 
 
 def _matching(log: LogDescription, pattern: str, names: Iterable[str]) -> list[str]:
@@ -66,6 +63,44 @@ def _matching(log: LogDescription, pattern: str, names: Iterable[str]) -> list[s
             f"{log.source}: no column matches {pattern!r}; there are {first_names(names, 8)}."
         )
     return ordered
+
+
+def read_time(log: LogDescription, samples: int) -> Array | None:
+    """Return the time stamps (N,) of the chosen samples in s, as they stand in the file; None
+    without a time column.
+
+    Raises UsageError for a wrong unit, column or length.
+    """
+    if log.sources and (log.time is None or log.time.file is None):
+        stamps = merge_sources(log).t
+    elif log.time is None:
+        return None
+    else:
+        stamps = _read_times(log, log.time, table_of(log, log.time))
+    # The line that broke off may hold a stamp already; chosen rows end before the file does.
+    whole = log.rows is None and log.share == 1.0
+    first, spare = (0 if log.rows is None else log.rows[0] - 1), (1 if whole else len(stamps))
+    if not samples <= len(stamps) - first <= samples + spare:
+        raise UsageError(
+            f"{log.source}: there are {len(stamps)} time stamps for {samples} samples."
+        )
+    return stamps[first : first + samples]
+
+
+def _read_times(log: LogDescription, time: Time, table: LogTable) -> Array:
+    """Return the stamps (N,) of a whole table in s; raises UsageError for a wrong unit."""
+    values = table.columns(time.column)
+    units = time.unit * values.shape[1] if len(time.unit) == 1 else time.unit
+    for unit in units:
+        if unit not in _SECONDS:
+            raise UsageError(f"{log.source}: time: {unknown_name('unit', unit, _SECONDS)}")
+    if len(time.column) == 1 != values.shape[1]:
+        raise UsageError(f"{log.source}: time must be one column; got {values.shape[1]}.")
+    if len(units) != values.shape[1]:
+        raise UsageError(
+            f"{log.source}: time has {len(units)} units for {values.shape[1]} columns."
+        )
+    return np.asarray(values @ np.array([_SECONDS[unit] for unit in units]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,32 +134,37 @@ def merge_sources(log: LogDescription) -> _Joined:
     says. Raises UsageError for files without stamps or an overlap, and for a name that two have.
     """
     opened = [_opened(log, source) for source in log.sources]
-    start = max(one.span[0] for one in opened)
-    end = min(one.span[1] for one in opened)
+    start, end = max(one.span[0] for one in opened), min(one.span[1] for one in opened)
     first = opened[0]
     rows = (first.t >= start) & (first.t <= end)
     if rows.sum() < 2:
-        spans = ", ".join(f"{one.source.file} {_span_text(one)}" for one in opened)
+        spans = ", ".join(
+            "{} {:.6g} ... {:.6g} s".format(one.source.file, *one.span) for one in opened
+        )
         raise UsageError(
             f"{log.source}: the files do not overlap in time ({spans}); give the offset of a clock "
             "with file = [..., { file = 'b.csv', offset = '-3.2 s' }]."
         )
-    t = first.t[rows]
-    return _Joined(_joined_table(log, opened, rows), t, _finding(opened, t, len(rows)))
-
-
-def _span_text(one: _Opened) -> str:
-    return "{:.6g} ... {:.6g} s".format(*one.span)
-
-
-def _finding(opened: Sequence[_Opened], t: Array, rows: int) -> Finding:
-    others = ", ".join(one.source.file for one in opened[1:])
+    parts: dict[str, Array] = {}
+    for part in log.columns:
+        if part.file is None:
+            for name in _written(log, part, opened):
+                owner = _owner(log, name, opened)
+                parts[name] = _resampled(owner, name, first, part.resample == "previous")[rows]
+    names, width = {}, 0
+    for name, x in parts.items():
+        names[name] = tuple(range(width, width + x.shape[1]))
+        width += x.shape[1]
+    truncated = max(one.table.truncated for one in opened)
+    values = np.concatenate(list(parts.values()), axis=1)
+    t, outside = first.t[rows], len(rows) - int(rows.sum())
     text = (
-        f"{others}: joined by name at the stamps of {opened[0].source.file}, linear for signals, "
-        f"the previous value for commands, over the common {t[-1] - t[0]:.4g} s; "
-        f"{rows - len(t)} of {rows} samples lie outside"
+        f"{', '.join(one.source.file for one in opened[1:])}: joined by name at the stamps of "
+        f"{first.source.file}, linear for signals, the previous value for commands, over the "
+        f"common {t[-1] - t[0]:.4g} s; {outside} of {len(rows)} samples lie outside"
     )
-    return Finding("joined", rows - len(t), text)
+    table = LogTable(log.source, values, names, truncated)
+    return _Joined(table, t, Finding("joined", outside, text))
 
 
 def _opened(log: LogDescription, source: Source) -> _Opened:
@@ -135,44 +175,23 @@ def _opened(log: LogDescription, source: Source) -> _Opened:
             "that holds them."
         )
     table = read_table(log.file_of(source), log.reader_of(source))
-    t, _ = check_times(read_times(log, time, table))
+    t, _ = check_times(_read_times(log, time, table))
     if np.isfinite(t).sum() < 2:
         raise UsageError(f"{log.source}: the time stamps of {source.file} do not rise.")
     return _Opened(source, table, t + quantity(source.offset, "s"))
 
 
-def _joined_table(log: LogDescription, opened: Sequence[_Opened], rows: Array) -> LogTable:
-    """Return the columns of all signals without a file of their own."""
-    parts: dict[str, Array] = {}
-    for part in log.columns:
-        if part.file is None:
-            for name in _written(log, part, opened):
-                owner = _owner(log, name, opened)
-                parts[name] = _resampled(owner, name, opened[0], part.resample == "previous")[rows]
-    values, names = np.concatenate(list(parts.values()), axis=1), {}
-    first = 0
-    for name, part_values in parts.items():
-        names[name] = tuple(range(first, first + part_values.shape[1]))
-        first += part_values.shape[1]
-    truncated = max(one.table.truncated for one in opened)
-    return LogTable(log.source, values, names, truncated)
-
-
 def _written(log: LogDescription, part: Signal, opened: Sequence[_Opened]) -> list[str]:
     """Return the columns of a signal by name; raises UsageError for an index."""
     if part.match is not None:
-        return _matching(log, part.match, _every_name(opened))
-    by_index = [column for column in part.columns if not isinstance(column, str)]
-    if by_index:
-        raise UsageError(
-            f"{log.source}: column {by_index[0]} of which file? Name the columns of joined files, "
-            "or give the signal a file of its own."
-        )
+        return _matching(log, part.match, list(chain(*(one.table.names for one in opened))))
+    for column in part.columns:
+        if not isinstance(column, str):
+            raise UsageError(
+                f"{log.source}: column {column} of which file? Name the columns of joined files, "
+                "or give the signal a file of its own."
+            )
     return [str(column).strip() for column in part.columns]
-
-
-def _every_name(opened: Sequence[_Opened]) -> list[str]:
-    return list(chain.from_iterable(one.table.names for one in opened))
 
 
 def _owner(log: LogDescription, name: str, opened: Sequence[_Opened]) -> _Opened:
@@ -186,7 +205,7 @@ def _owner(log: LogDescription, name: str, opened: Sequence[_Opened]) -> _Opened
             f"{log.source}: {files} both have a column {name!r}; rename one, or give the signal a "
             "file of its own."
         )
-    every = dict.fromkeys(_every_name(opened))
+    every = dict.fromkeys(chain(*(one.table.names for one in opened)))
     raise UsageError(f"{log.source}: {unknown_name('column', name, every, preset_note(every))}")
 
 

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.signals.log_keys import preset_note
 from sysid_bench.signals.log_library import report
-from sysid_bench.signals.log_preset import preset_note
 from sysid_bench.types import Array
 
 LARGEST_LOG: Final = 2**30

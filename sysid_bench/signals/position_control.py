@@ -88,20 +88,14 @@ class Commands:
         if self.line is None:
             return -self.limit, self.limit
         rest, fastest = self.line
-        low, high = (
-            np.minimum(self.limit, np.maximum(_falling(rest, sign * v / fastest), 0.0))
-            for sign in (-1.0, 1.0)
-        )
-        return -low, high
-
-
-def _falling(rest: Array, share: Array) -> Array:
-    """Return the torque of a motor at a share of its speed without load; one whose torque at rest
-    is not known has all of it below that speed."""
-    steps = np.where(share < 1.0, np.inf, 0.0)
-    return np.where(
-        np.isfinite(rest), np.where(np.isfinite(rest), rest, 0.0) * (1.0 - share), steps
-    )
+        stated, limits = np.isfinite(rest), []
+        for sign in (-1.0, 1.0):
+            # Torque falls with the speed; one that is not known at rest is there below the fastest.
+            share = sign * v / fastest
+            falling = np.where(stated, rest, 0.0) * (1.0 - share)
+            falling = np.where(stated, falling, np.where(share < 1.0, np.inf, 0.0))
+            limits.append(np.minimum(self.limit, np.maximum(falling, 0.0)))
+        return -limits[0], limits[1]
 
 
 def mean_of_held(x: Array, shift: float) -> Array:
@@ -182,18 +176,25 @@ def commands_of(log: LogDescription, samples: Samples, grid: Grid) -> Commands |
     if log.tau.pd is None:
         return None
     at_grid = samples.at(grid)
-    found = replace(_commands(log, log.tau.pd, at_grid, grid.rate), base=at_grid.base)
-    recorded: dict[str, Any] = {
-        name: _interpolated(x, grid) for name, x in samples.signals.items() if name in ("q", "v")
-    }
-    joints = [name for name in log.joints if name != NO_JOINT]
-    return replace(found, **recorded).of(joints)
+    found = _commands(log, log.tau.pd, at_grid, grid.rate)
+    v = None if samples.v is None else grid.interpolated(samples.v)
+    found = replace(found, base=at_grid.base, q=grid.interpolated(samples.q), v=v)
+    return found.of([name for name in log.joints if name != NO_JOINT])
 
 
 def _commands(log: LogDescription, pd: PositionControl, samples: Samples, rate: float) -> Commands:
     """Return the commands in samples at a rate (Hz), held where the controller is slower."""
     assert samples.q_des is not None
     zeros, held = np.zeros_like(samples.q), _held_rows(log, pd, len(samples), rate)
+    motors = None if pd.motor is None else _motors(log, pd)
+    of_table: dict[str, Any] = {} if motors is None else of_motors(motors)
+    # Limits that are stated, else those of motors, else infinite.
+    if pd.limit is None and motors is not None:
+        limit = largest_torque(motors)
+    else:
+        limit = log.joint_values("tau.pd.limit", (np.inf,) if pd.limit is None else pd.limit)
+        if not (limit > 0.0).all():
+            raise UsageError(f"{log.source}: tau.pd.limit must be positive; got {limit.tolist()}.")
     v_des, feedforward = (zeros if x is None else x for x in (samples.v_des, samples.feedforward))
     return Commands(
         joints=log.joints,
@@ -205,9 +206,9 @@ def _commands(log: LogDescription, pd: PositionControl, samples: Samples, rate: 
         feedforward=feedforward[held],
         kp=_gains(log, pd, samples, "kp"),
         kd=_gains(log, pd, samples, "kd"),
-        limit=_limit(log, pd),
+        limit=limit,
         delay=_stated_delay(log),
-        **_of_motors(log, pd),
+        **of_table,
     )
 
 
@@ -237,11 +238,6 @@ def _gains(log: LogDescription, pd: PositionControl, samples: Samples, name: str
     return np.asarray(found)
 
 
-def _interpolated(x: Array, grid: Grid) -> Array:
-    """Return samples (N, k) at the times of a grid (M, k), those that repeat the one before too."""
-    return np.stack([np.interp(grid.times, grid.t, column[grid.valid]) for column in x.T], 1)
-
-
 def _motors(log: LogDescription, pd: PositionControl) -> list[Motor | None]:
     """Return the motor of each joint, None where none is named."""
     names = pd.motor or ("",)
@@ -250,22 +246,11 @@ def _motors(log: LogDescription, pd: PositionControl) -> list[Motor | None]:
             f"{log.source}: tau.pd.motor has {len(names)} names; write one, or one for each of the "
             f"{len(log.joints)} joints."
         )
-    found = [_motor(log, name) for name in names]
-    return found * len(log.joints) if len(found) == 1 else found
-
-
-def _motor(log: LogDescription, name: str) -> Motor | None:
     try:
-        return motor(name) if name else None
+        found = [motor(name) if name else None for name in names]
     except UsageError as error:
         raise UsageError(f"{log.source}: tau.pd.motor: {error}") from error
-
-
-def _of_motors(log: LogDescription, pd: PositionControl) -> dict[str, Any]:
-    """Return the fields of commands that follow from motors."""
-    if pd.motor is None:
-        return {}
-    return of_motors(_motors(log, pd))
+    return found * len(log.joints) if len(found) == 1 else found
 
 
 def of_motors(motors: Sequence[Motor | None]) -> dict[str, Array]:
@@ -275,16 +260,6 @@ def of_motors(motors: Sequence[Motor | None]) -> dict[str, Array]:
         (np.nan, np.nan) if m is None else (m.armature, m.armature * m.keys.spread) for m in motors
     ]
     return {"line": np.array(line).T, "armature": np.array(armature).T}
-
-
-def _limit(log: LogDescription, pd: PositionControl) -> Array:
-    """Return the largest torques (k,): those stated, else those of motors, else infinite."""
-    if pd.limit is None and pd.motor is not None:
-        return largest_torque(_motors(log, pd))
-    limit = log.joint_values("tau.pd.limit", (np.inf,) if pd.limit is None else pd.limit)
-    if not (limit > 0.0).all():
-        raise UsageError(f"{log.source}: tau.pd.limit must be positive; got {limit.tolist()}.")
-    return limit
 
 
 def largest_torque(motors: Sequence[Motor | None]) -> Array:

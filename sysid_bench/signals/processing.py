@@ -45,8 +45,10 @@ class Processing:
             )
         q = _smooth_positions(recording.q, joints, self.filter, rate)
         v, a = self._derivatives(recording, q, joints)
-        tau = self._load(recording.tau, rate)
-        wrench = None if recording.wrench is None else self._load(recording.wrench, rate)
+        tau, wrench = recording.tau, recording.wrench
+        if not self.raw_torque:
+            tau = self.filter.smooth(tau, rate)
+            wrench = None if wrench is None else self.filter.smooth(wrench, rate)
         keep = slice(edge, len(recording) - edge)
         return replace(
             recording, t=recording.t[keep], q=q[keep], v=v[keep], a=a[keep], tau=tau[keep],
@@ -54,43 +56,44 @@ class Processing:
         )  # fmt: skip
 
     def edge(self, recording: Recording) -> int:
-        """Return the samples to cut at each end: those spoilt by the filter, and by differences."""
+        """Return the samples to cut at each end: those spoilt by the filter, and by differences.
+
+        Raises UsageError unless the recording holds whole periods, where the filter assumes them.
+        """
         spoilt = self.filter.edge(recording.rate)
-        if isinstance(self.filter, FourierFilter):
-            _require_periods(recording, self.filter)
-            return spoilt
-        # Two central differences use half of their order in neighbours each.
-        return spoilt + (self.accuracy if self.differentiate or self.from_rates else 0)
+        if not isinstance(self.filter, FourierFilter):
+            # Two central differences use half of their order in neighbours each.
+            return spoilt + (self.accuracy if self.differentiate or self.from_rates else 0)
+        # An incomplete period makes the series jump at its end, and its derivatives ring.
+        samples = 0.0 if recording.period is None else recording.period * recording.rate
+        if samples == 0.0 or abs(len(recording) / samples - round(len(recording) / samples)) > 1e-9:
+            period = (
+                "no period" if recording.period is None else f"periods of {recording.period:g} s"
+            )
+            raise UsageError(
+                f"{self.filter} needs whole periods; {len(recording)} samples at "
+                f"{recording.rate:g} Hz have {period}. Use a periodic excitation, or the filter "
+                "'butter'."
+            )
+        return spoilt
 
     def _derivatives(
         self, recording: Recording, q: Array, joints: tuple[Joint, ...]
     ) -> tuple[Array, Array]:
         """Return v and a (N, nv) from the filtered q (N, nq), or from the recording."""
-        rate = recording.rate
+        rate, v, a = recording.rate, recording.v, recording.a
         if self.differentiate:
-            v = _rates(q, joints, self._derivative(q, rate))
-            return v, self._derivative(v, rate)
-        if self.from_rates:
-            v = self.filter.smooth(_given(recording.v, "from v", "v"), rate)
-            return v, self._derivative(v, rate)
-        v, a = (_given(x, "exact", "v and a") for x in (recording.v, recording.a))
-        return self.filter.smooth(v, rate), self.filter.smooth(a, rate)
-
-    def _derivative(self, x: Array, rate: float) -> Array:
-        """Return dx/dt (N, k) of a filtered signal."""
-        return derivative(self.filter, x, rate, self.accuracy)
-
-    def _load(self, x: Array, rate: float) -> Array:
-        """Return torques or wrenches (N, k) filtered, unless they stay raw."""
-        return x if self.raw_torque else self.filter.smooth(x, rate)
-
-
-def _given(x: Array | None, derivatives: str, needed: str) -> Array:
-    if x is None:
-        raise UsageError(
-            f"derivatives = {derivatives!r} needs a recording with {needed}; use 'from q'."
-        )
-    return x
+            v = _rates(q, joints, derivative(self.filter, q, rate, self.accuracy))
+            return v, derivative(self.filter, v, rate, self.accuracy)
+        if v is None or (a is None and not self.from_rates):
+            word, needed = ("from v", "v") if self.from_rates else ("exact", "v and a")
+            raise UsageError(
+                f"derivatives = {word!r} needs a recording with {needed}; use 'from q'."
+            )
+        v = self.filter.smooth(v, rate)
+        if a is None or self.from_rates:
+            return v, derivative(self.filter, v, rate, self.accuracy)
+        return v, self.filter.smooth(a, rate)
 
 
 def processing_of(spec: Mapping[str, object]) -> Processing:
@@ -114,7 +117,10 @@ def processing_of(spec: Mapping[str, object]) -> Processing:
 def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> Array:
     """Return q (N, nq) filtered; quaternions stay continuous in sign and of unit length."""
     q = q.copy()
-    rotations = _quaternions(joints)
+    # Columns of each quaternion [w, x, y, z]: of a free joint behind its position.
+    starts = {"free": 3, "ball": 0}
+    first = [joint.qadr + starts[joint.kind] for joint in joints if joint.kind in starts]
+    rotations = [slice(start, start + 4) for start in first]
     for part in rotations:
         # q and -q are one rotation; a filter across a change of sign would pass through zero.
         flips = np.sum(q[1:, part] * q[:-1, part], axis=1) < 0
@@ -155,13 +161,3 @@ def _rates(q: Array, joints: tuple[Joint, ...], dq: Array) -> Array:
             2 * composed_rotation(inverse_quaternion(q[:, part]), dq[:, part])[:, 1:]
         )
     return v
-
-
-def _quaternions(joints: tuple[Joint, ...]) -> list[slice]:
-    """Return the columns of q of each quaternion [w, x, y, z]."""
-    starts = {"free": 3, "ball": 0}
-    return [
-        slice(j.qadr + starts[j.kind], j.qadr + starts[j.kind] + 4)
-        for j in joints
-        if j.kind in starts
-    ]

@@ -1,16 +1,28 @@
-"""Time base of a log: stamps in seconds, the rate of the grid, and findings about both."""
+"""Time base of a log: stamps that rise, without those that leave the line of their neighbours, the
+rate of the grid, and findings about both."""
 
+from bisect import bisect_left
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log_checks import Finding
 from sysid_bench.signals.log_description import LogDescription
-from sysid_bench.signals.log_keys import Time
-from sysid_bench.signals.log_source import merge_sources, table_of
-from sysid_bench.signals.log_times import check_times, read_times
 from sysid_bench.types import Array
+
+TOO_MANY: Final = 0.2
+"""Share of stamps that leave the line or run backwards beyond which the column is not time."""
+
+_WINDOW: Final = 41
+"""Samples around a stamp that predict it; up to half of them may be wrong."""
+
+_BLOCK: Final = 10_000
+"""Windows whose medians are taken at once."""
+
+_FAR: Final = 20.0
+"""Median steps, and median deviations, from that line beyond which a stamp is wild."""
 
 LONGEST_GAP: Final = 0.2
 """Share of samples without numbers that is reported and bridged; beyond it the file is not what
@@ -29,32 +41,6 @@ _WIDEST: Final = 3.0
 """Ratio of a recording's length to its samples beyond which it is more gap than recording."""
 
 
-def read_time(log: LogDescription, samples: int) -> Array | None:
-    """Return the time stamps (N,) of the chosen samples in s, as they stand in the file; None
-    without a time column.
-
-    Raises UsageError for a wrong unit, column or length.
-    """
-    stamps = _all_times(log, log.time)
-    if stamps is None:
-        return None
-    # The line that broke off may hold a stamp already; chosen rows end before the file does.
-    whole = log.rows is None and log.share == 1.0
-    first, spare = (0 if log.rows is None else log.rows[0] - 1), (1 if whole else len(stamps))
-    if not samples <= len(stamps) - first <= samples + spare:
-        raise UsageError(
-            f"{log.source}: there are {len(stamps)} time stamps for {samples} samples."
-        )
-    return stamps[first : first + samples]
-
-
-def _all_times(log: LogDescription, time: Time | None) -> Array | None:
-    """Return the stamps of the whole file in s."""
-    if log.sources and (time is None or time.file is None):
-        return merge_sources(log).t
-    return None if time is None else read_times(log, time, table_of(log, time))
-
-
 def time_base(
     log: LogDescription, stamps: Array | None, invalid: Array
 ) -> tuple[Array, float, list[Finding]]:
@@ -67,7 +53,7 @@ def time_base(
         assert log.rate is not None
         return np.arange(len(invalid)) / log.rate, log.rate, []
     t, found = check_times(np.where(invalid, np.nan, stamps))
-    steps = np.diff(t[np.isfinite(t)])
+    steps, N = np.diff(t[np.isfinite(t)]), len(t)
     if len(steps) < SHORTEST:
         raise UsageError(
             f"{log.source}: only {len(steps) + 1} time stamps rise; is this the time column?"
@@ -78,33 +64,32 @@ def time_base(
             f"{log.source}: the time stamps step by {step:.4g} s, which no recorder does; write "
             "the unit of time, as time = { column = ..., unit = 's' }."
         )
-    rate, wrong_rate = _grid_rate(log.rate, step, len(t))
-    _check_gaps(log, steps, rate, len(t))
-    return t, rate, [*found, *_missing(steps, step), *wrong_rate, *_wrong_unit(log, step, len(t))]
-
-
-def _wrong_unit(log: LogDescription, step: float, samples: int) -> list[Finding]:
-    """Return a finding of stamps too far apart for a motion, where no rate contradicts them."""
-    if log.rate is not None or step < SLOWEST:
-        return []
-    text = (
-        f"the time stamps step by {step:.4g} s: write the unit of time, as time = {{ column = ..., "
-        "unit = 'ms' }"
-    )
-    return [Finding("time", samples, text, contradiction=True)]
-
-
-def _missing(steps: Array, step: float) -> list[Finding]:
-    """Return a finding of the samples that would have fitted into longer steps."""
+    # Longer steps have room for samples.
     lost = int(np.maximum(np.round(steps / step) - 1, 0).sum())
-    longest = f"the longest gap is {steps.max():.4g} s"
-    text = f"samples missing between the time stamps: {lost}; {longest}"
-    return [Finding("lost", lost, text)] if lost else []
+    if lost:
+        longest = f"the longest gap is {steps.max():.4g} s"
+        text = f"samples missing between the time stamps: {lost}; {longest}"
+        found.append(Finding("lost", lost, text))
+    rate, of_rate = _grid_rate(log, step, N)
+    # Most of the grid would be interpolated over gaps.
+    if np.nansum(steps) * rate > _WIDEST * N:
+        raise UsageError(
+            f"{log.source}: the time stamps leave a gap of {steps.max():.4g} s in {N} samples "
+            f"{step:.4g} s apart; choose the part that was recorded without a break (rows = "
+            "[first, last])."
+        )
+    return t, rate, [*found, *of_rate]
 
 
-def _grid_rate(declared: float | None, step: float, samples: int) -> tuple[float, list[Finding]]:
-    """Return the declared rate (Hz) where the stamps agree with it, else theirs and a finding."""
-    rate = declared or 1.0 / step
+def _grid_rate(log: LogDescription, step: float, N: int) -> tuple[float, list[Finding]]:
+    """Return the declared rate (Hz) where the stamps agree with it, else theirs; and findings."""
+    if log.rate is None and step >= SLOWEST:
+        text = (
+            f"the time stamps step by {step:.4g} s: write the unit of time, as time = {{ column = "
+            "..., unit = 'ms' }"
+        )
+        return 1.0 / step, [Finding("time", N, text, contradiction=True)]
+    rate = log.rate or 1.0 / step
     # Stamps in ms read as s are off by 1000; real clocks and rounded stamps by a few per cent.
     if abs(rate * step - 1) <= 0.05:
         return rate, []
@@ -112,14 +97,82 @@ def _grid_rate(declared: float | None, step: float, samples: int) -> tuple[float
         f"a rate of {rate:.6g} Hz is declared, but the time stamps are {step:.4g} s apart "
         f"({1 / step:.4g} Hz): check the unit of time, or the rate"
     )
-    return 1.0 / step, [Finding("rate", samples, text, contradiction=True)]
+    return 1.0 / step, [Finding("rate", N, text, contradiction=True)]
 
 
-def _check_gaps(log: LogDescription, steps: Array, rate: float, samples: int) -> None:
-    """Raise UsageError where most of the grid would be interpolated over gaps."""
-    if np.nansum(steps) * rate > _WIDEST * samples:
-        raise UsageError(
-            f"{log.source}: the time stamps leave a gap of {steps.max():.4g} s in {samples} "
-            f"samples {np.median(steps):.4g} s apart; choose the part that was recorded without "
-            "a break (rows = [first, last])."
-        )
+def check_times(t: Array) -> tuple[Array, list[Finding]]:
+    """Return stamps (N,) that increase, NaN for the others, and findings of those left out.
+
+    A stamp far from the line of its neighbours is left out first, so that it costs one row; of the
+    rest, the longest series that increases is kept.
+    """
+    wild = _wild(t)
+    kept, repeated, backwards = _increasing(np.where(wild, np.nan, t))
+    limit = TOO_MANY * len(t)
+    found = []
+    if count := int(wild.sum()):
+        text = f"{count} time stamps leave the line of their neighbours"
+        found.append(Finding("time", count, text, count > limit))
+    if repeated:
+        found.append(Finding("time", repeated, f"{repeated} time stamps are repeated"))
+    if backwards:
+        text = f"{backwards} time stamps run backwards"
+        found.append(Finding("time", backwards, text, backwards > limit))
+    return kept, found
+
+
+def _wild(t: Array) -> Array:
+    """Return rows (N,) whose stamp lies far from the median line of its neighbours."""
+    wild = np.zeros(len(t), dtype=bool)
+    rows = np.flatnonzero(np.isfinite(t))
+    steps = np.diff(t[rows])
+    rising = steps[steps > 0]
+    if len(rows) < _WINDOW or len(rising) < len(steps) / 2:
+        return wild
+    step = float(np.median(rising))
+    deviation = t[rows] - step * np.arange(len(rows))
+    if np.ptp(deviation) <= _FAR * step:  # no stamp is that far from any other's line
+        return wild
+    # Lost samples move the line for good: its running median moves with them.
+    windows = sliding_window_view(np.pad(deviation, _WINDOW // 2, mode="symmetric"), _WINDOW)
+    parts = np.split(windows, range(_BLOCK, len(windows), _BLOCK))
+    middle = np.concatenate([np.median(part, axis=1) for part in parts])
+    deviation = np.abs(deviation - middle)
+    wild[rows] = deviation > _FAR * (step + float(np.median(deviation)))
+    return wild
+
+
+def _increasing(t: Array) -> tuple[Array, int, int]:
+    """Return stamps (N,), NaN outside of the longest increasing series, and the numbers of those
+    that repeat the stamp before and of the others."""
+    rows = np.flatnonzero(np.isfinite(t))
+    stamps = t[rows]
+    if (np.diff(stamps) > 0).all():
+        return t, 0, 0
+    chosen = np.zeros(len(stamps), dtype=bool)
+    chosen[_longest_increasing(stamps.tolist())] = True
+    dropped = np.flatnonzero(~chosen)
+    latest = np.maximum.accumulate(np.where(chosen, stamps, -np.inf))
+    repeated = int((stamps[dropped] == latest[dropped]).sum())
+    kept = t.copy()
+    kept[rows[dropped]] = np.nan
+    return kept, repeated, len(dropped) - repeated
+
+
+def _longest_increasing(stamps: list[float]) -> list[int]:
+    """Return the indices of the longest strictly increasing series; of equal stamps the first."""
+    ends: list[float] = []  # smallest end of a series of each length
+    at: list[int] = []
+    before = [-1] * len(stamps)
+    for i, stamp in enumerate(stamps):
+        length = bisect_left(ends, stamp)
+        if length < len(ends) and ends[length] == stamp:
+            continue
+        before[i] = at[length - 1] if length else -1
+        ends[length : length + 1] = [stamp]
+        at[length : length + 1] = [i]
+    series, last = [], at[-1] if at else -1
+    while last >= 0:
+        series.append(last)
+        last = before[last]
+    return series[::-1]

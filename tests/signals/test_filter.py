@@ -1,4 +1,4 @@
-"""Laws of the filters: no phase, the stated cut-off, and texts that are read or refused."""
+"""Laws of the filters: those of SciPy and of means, and texts that are read or refused."""
 
 from collections.abc import Callable
 
@@ -14,44 +14,6 @@ from sysid_bench.types import Array
 from tests.closeness import assert_close
 
 RATE = 200.0
-TIME = np.arange(2000) / RATE
-
-
-def response(filter: Filter, frequency: float) -> complex:
-    """Gain and phase of the middle of a long sine."""
-    wave = np.exp(2j * np.pi * frequency * TIME)
-    both = np.stack([wave.real, wave.imag], axis=1)
-    out = filter.smooth(both, RATE)
-    middle = slice(500, 1500)
-    complex_out = out[middle, 0] + 1j * out[middle, 1]
-    return complex((complex_out / wave[middle]).mean())
-
-
-@given(order=st.integers(1, 6), cutoff=st.floats(5.0, 60.0), share=st.floats(0.05, 2.0))
-@settings(max_examples=40)
-def test_butterworth_has_its_gain_twice_and_no_phase(
-    order: int, cutoff: float, share: float
-) -> None:
-    """|H|^2 = 1 / (1 + (tan(f) / tan(fc))^(2 order)): -6 dB at the cut-off, forward and back."""
-    frequency = min(share * cutoff, 90.0)
-    gain = response(Butterworth(order, cutoff), frequency)
-    ratio = np.tan(np.pi * frequency / RATE) / np.tan(np.pi * cutoff / RATE)
-    expected = 1.0 / (1.0 + ratio ** (2 * order))
-    assert abs(gain - expected) < 2e-3
-
-
-@pytest.mark.parametrize("order", [1, 2, 4, 8])
-def test_at_the_cut_off_six_decibels_are_lost(order: int) -> None:
-    assert abs(response(Butterworth(order, 20.0), 20.0)) == pytest.approx(0.5, abs=1e-3)
-
-
-@given(half=st.integers(0, 20), frequency=st.floats(0.1, 99.0))
-@settings(max_examples=40)
-def test_the_moving_average_is_centred(half: int, frequency: float) -> None:
-    n = 2 * half + 1
-    x = np.pi * frequency / RATE
-    expected = np.sin(n * x) / (n * np.sin(x))
-    assert abs(response(MovingAverage(n), frequency) - expected) < 1e-9
 
 
 def by_hand(x: Array, window: int) -> Array:
@@ -107,23 +69,9 @@ def test_filters_as_suites_write_them(text: str, expected: Filter) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "",
-        "zero-phase",
-        "butter",
-        "butter 4",
-        "butter 0 20 Hz",
-        "butter -2 20 Hz",
-        "butter ² 20 Hz",
-        "butter 4 0 Hz",
-        "butter 4 -20 Hz",
-        "butter 4 20 rad",
-        "butter 4 twenty Hz",
-        "average",
-        "average 20",
-        "average 0",
-        "average ³",
-        "average 3 s",
-        "None",
+        *("", "zero-phase", "None", "butter", "butter 4", "butter 0 20 Hz", "butter -2 20 Hz"),
+        *("butter ² 20 Hz", "butter 4 0 Hz", "butter 4 -20 Hz", "butter 4 20 rad"),
+        *("butter 4 twenty Hz", "average", "average 20", "average 0", "average ³", "average 3 s"),
     ],
 )
 def test_junk_is_refused_in_words(text: str) -> None:
@@ -139,12 +87,6 @@ def test_any_text_is_read_or_refused(text: str) -> None:
     except UsageError:
         return
     assert read.edge(RATE) >= 0
-
-
-@pytest.mark.parametrize("cutoff", [100.0, 101.0, 1e6])
-def test_a_cut_off_above_half_the_rate_is_refused(cutoff: float) -> None:
-    with pytest.raises(UsageError, match="above twice"):
-        Butterworth(4, cutoff).smooth(np.zeros((400, 1)), RATE)
 
 
 @pytest.mark.parametrize("order", range(1, 9))

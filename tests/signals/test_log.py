@@ -323,16 +323,6 @@ def test_what_cannot_be_is_said_in_a_sentence(
     assert "run." in str(error.value) or reported == "nowhere.csv"
 
 
-def test_damaged_files_are_one_sentence(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
-    for kind in ("npz", "mat", "parquet", "csv"):
-        path = write(tmp_path, log, kind)
-        file = tmp_path / f"run.{kind}"
-        for damaged in (b"", b"\x00\xff\xfe" * 100, file.read_bytes()[:100]):
-            file.write_bytes(damaged)
-            with pytest.raises(UsageError, match=r"run\."):
-                read(robot, path)
-
-
 def test_words_of_accept() -> None:
     with pytest.raises(UsageError, match="'rate'"):
         check_findings((), ("rtae",), "")

@@ -13,9 +13,9 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log, read_log
 from sysid_bench.signals.log_description import read_description
-from sysid_bench.signals.log_preset import preset_keys
+from sysid_bench.signals.log_keys import preset_keys
 from sysid_bench.signals.log_source import merge_sources
-from sysid_bench.signals.log_times import check_times
+from sysid_bench.signals.time_base import check_times
 from tests.robots import named_robot
 
 from .logs import RATE, Recorded, recorded, write

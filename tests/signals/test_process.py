@@ -126,17 +126,11 @@ def test_the_raw_recording_is_left_as_it_was() -> None:
 @settings(max_examples=60)
 def test_short_recordings_are_processed_or_refused(count: int, window: int, from_q: bool) -> None:
     robot = robot_of("file:arm.xml")
-    motion = slow(robot, 100.0)
-    recording = recording_of(robot, motion, rates=True)
-    short = Recording(
-        t=recording.t[:count],
-        q=recording.q[:count],
-        tau=recording.tau[:count],
-        rate=100.0,
-        rows=recording.rows,
-        v=motion.v[:count],
-        a=motion.a[:count],
-    )
+    recording = recording_of(robot, slow(robot, 100.0), rates=True)
+    parts: dict[str, Any] = {
+        name: getattr(recording, name)[:count] for name in ("t", "q", "tau", "v", "a")
+    }
+    short = replace(recording, **parts)
     derivatives = "from q" if from_q else "exact"
     spec = {"filter": f"average {2 * window + 1}", "derivatives": derivatives}
     edge = window + (2 if from_q else 0)
@@ -145,15 +139,6 @@ def test_short_recordings_are_processed_or_refused(count: int, window: int, from
             processing_of(spec).apply(short, robot.joints)
     else:
         assert len(processing_of(spec).apply(short, robot.joints)) == count - 2 * edge
-
-
-def test_exact_derivatives_need_a_recording_that_has_them() -> None:
-    robot = robot_of("file:arm.xml")
-    recording = recording_of(robot, slow(robot, 100.0))
-    with pytest.raises(UsageError, match="from q"):
-        processing_of({"derivatives": "exact"}).apply(recording, robot.joints)
-    with pytest.raises(ValueError, match="filter it first"):
-        _ = recording.motion
 
 
 BAD: tuple[dict[str, Any], ...] = (
@@ -169,6 +154,16 @@ BAD: tuple[dict[str, Any], ...] = (
 def test_unknown_words_are_refused(spec: dict[str, Any]) -> None:
     with pytest.raises(UsageError):
         processing_of(spec)
+
+
+@pytest.mark.parametrize("derivatives", ["exact", "from v"])
+def test_derivatives_need_a_recording_that_has_them(derivatives: str) -> None:
+    robot = robot_of("file:arm.xml")
+    recording = recording_of(robot, slow(robot, 100.0))
+    with pytest.raises(UsageError, match="from q"):
+        processing_of({"derivatives": derivatives}).apply(recording, robot.joints)
+    with pytest.raises(ValueError, match="filter it first"):
+        _ = recording.motion
 
 
 def test_a_cut_off_above_half_the_rate_is_refused() -> None:

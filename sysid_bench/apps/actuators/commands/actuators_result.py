@@ -16,7 +16,7 @@ from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.commands.identify_result import IdentifyResult
 from sysid_bench.commands.result import OMIT_NONE
 from sysid_bench.errors import SHOWN, first_names
-from sysid_bench.evaluation.intervals import LEVEL, LEVEL_TEXT, new_value_interval
+from sysid_bench.evaluation.intervals import confidence_level, level_text, new_value_interval
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 
@@ -129,8 +129,8 @@ class ActuatorsResult(IdentifyResult):
         if self.files is not None:
             yield (
                 f"  between {self.files['count']} files, each fitted by itself: median deviation "
-                f"in % of the mean: {_percent(self.files['joints'])}; {LEVEL_TEXT} ranges of a new "
-                "file: --json"
+                f"in % of the mean: {_percent(self.files['joints'])}; {level_text()} ranges of a "
+                "new file: --json"
             )
         for one in self.judged if self.rollout_error is not None else ():
             yield (
@@ -246,8 +246,25 @@ def file_fields(
     the deviations of the joints of the `answer`. Nothing for one recording."""
     if len(singles) < 2:
         return {}
+    files = _between(singles, [identify_drives(rows, shared, delay) for rows in singles])
+    if len(singles) < FILES:
+        return {"files": files}
+    between = {
+        name: {**joint, "std": {term: one["std"] for term, one in files["joints"][name].items()}}
+        for name, joint in answer.items()
+    }
+    return {
+        "files": files,
+        "joints": between,
+        "covariance": files["covariance"],
+        "std_from": "files",
+        "std_limit": LIMITS["files"],
+    }
+
+
+def _between(singles: Sequence[DriveRows], fits: Sequence[DriveEstimate]) -> dict[str, Any]:
+    """Ranges of values and delay between the fits of single files, and their covariance."""
     joints, terms = singles[0].joints, (*UNKNOWNS, *singles[0].more)
-    fits = [identify_drives(rows, shared, delay) for rows in singles]
     usual, delays = np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
     more = [np.array([x.other_values[name] for x in fits])[..., None] for name in singles[0].more]
     ranges = _ranges(np.concatenate([usual, *more], axis=2))
@@ -258,10 +275,10 @@ def file_fields(
         for j, name in enumerate(joints)
     }
     words = dict(zip(UNKNOWNS[:SIGNED], ("armature", "damping", "frictionloss"), strict=True))
-    files = {
+    return {
         "covariance": covariance_fields(joints, repeat_covariance(usual, delays)),
         "count": len(fits),
-        "share": LEVEL,
+        "share": confidence_level(),
         "joints": by_joint,
         "delay": {key: float(x) for key, x in _ranges(delays).items()},
         # Attributes of MJCF joints, cut at zero.
@@ -272,19 +289,6 @@ def file_fields(
             }
             for name, of_joint in by_joint.items()
         },
-    }
-    if len(singles) < FILES:
-        return {"files": files}
-    between = {
-        name: {**joint, "std": {term: one["std"] for term, one in by_joint[name].items()}}
-        for name, joint in answer.items()
-    }
-    return {
-        "files": files,
-        "joints": between,
-        "covariance": files["covariance"],
-        "std_from": "files",
-        "std_limit": LIMITS["files"],
     }
 
 

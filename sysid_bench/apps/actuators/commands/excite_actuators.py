@@ -378,7 +378,6 @@ def _warnings(
     request: CommandsRequest, problem: CommandProblem, candidate: CommandCandidate
 ) -> Iterator[str]:
     """What stays open, and what the model does not state."""
-    robot = problem.robot
     if candidate.information.delay_open > RESOLVED:
         used = _limit_fields(problem, candidate)
         kind = max(used, key=lambda name: float(used[name]["share"]))
@@ -396,6 +395,12 @@ def _warnings(
             f"{problem.drives.joints[worst]} stays open by {100 * armature[worst]:.2g} % of the "
             f"assumed one; --period {needed:.0f} leaves {100 * OPEN:g} %, or allow faster motions"
         )
+    yield from _model_warnings(request, problem)
+
+
+def _model_warnings(request: CommandsRequest, problem: CommandProblem) -> Iterator[str]:
+    """What the model does not state, or has to be seen to."""
+    robot = problem.robot
     whole = load_robot(find_manifest(str(request.robot), request.robots_dir))
     if any(joint.kind == "free" for joint in whole.joints):
         yield "the base is held fixed, on a stand or hung up: no foot may touch the ground"

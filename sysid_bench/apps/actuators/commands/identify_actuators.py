@@ -41,7 +41,6 @@ from sysid_bench.apps.actuators.written_model import (
     written_mjcf,
 )
 from sysid_bench.commands.identify import Identify
-from sysid_bench.commands.identify_recorded import found_logs, read_files
 from sysid_bench.commands.identify_result import REPORTED
 from sysid_bench.commands.result import file_text
 from sysid_bench.commands.write_model import check_files, check_output_files
@@ -76,13 +75,13 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
     positive.
     """
     _check_options(request)
-    training, tests = found_logs(request)
+    training, tests = request.recordings()
     logs = [*training, *tests.values()]
     manifest = find_manifest(str(request.model), request.robots_dir)
     is_floating = load_robot(manifest).floating
     manifest = drive_manifest(manifest, logs)
     model_out = _check_targets(request, load_robot(manifest))
-    check_output_files(request.files, None, read_files(logs))
+    check_output_files(request.files, None, logs)
     # Without tests the end of each recording is judged, and not fitted.
     share = 1.0 if tests else FITTED
     fits = [read_part(log, manifest, request.accept) for log in training]
