@@ -90,8 +90,8 @@ def measured_motion(experiment: Experiment) -> MeasuredMotion:
         nothing = np.zeros(0, dtype=int), np.zeros((len(q), n, 0)), np.zeros((len(q), n), bool)
         return MeasuredMotion(q, tau, motion, raw.rate, *nothing, jumps=columns)
     step = max(1, round(raw.rate / RATE))
-    samples = (x[::step] for x in (motion.t, motion.q, motion.v, motion.a))
-    motion = Trajectory(*samples, name=motion.name)
+    kept = slice(None, None, step)
+    motion = Trajectory(motion.t[kept], motion.q[kept], motion.v[kept], motion.a[kept], motion.name)
     return MeasuredMotion(
         q=q[::step],
         tau=mean_torque(tau, step),
