@@ -55,8 +55,8 @@ class TransferRequest(Request["TransferResult"]):
     )  # fmt: skip
     methods: Sequence[str] = METHODS
     levels: Sequence[str] = LEVELS
-    draws: int = option("Of the noise.", default=3, least=1, shown=True)
-    seed: int = option("", default=0, least=0, shown=True)
+    draws: int = option("Draws of the noise.", default=3, least=1, shown=True)
+    seed: int = option("Seed of the noise.", default=0, least=0, shown=True)
     figure: str | Path | None = figure_option()
     jobs: int = jobs_option()
 
