@@ -169,7 +169,9 @@ class Crosscheck:
 
     def reason(self, tolerance: float = GAP) -> str:
         """Return the errors above tolerance as text; empty if there are none."""
-        tree, coupled = self._tree_reason(tolerance), self._coupling_reason()
+        tree, coupled = self._tree_reason(tolerance), ""
+        if self.coupling is not None and (coupled := _above(self.coupling.figures)):
+            coupled += f"; {self.coupling.note}" if self.coupling.note else ""
         if coupled and not tree:
             coupled = (
                 f"the engines agree on the tree, but not its closed chains or couplings: {coupled}"
@@ -186,12 +188,6 @@ class Crosscheck:
         if self.native_gap is not None:
             figures.append(("native gap", self.native_gap, tolerance))
         return _above(figures)
-
-    def _coupling_reason(self) -> str:
-        if self.coupling is None:
-            return ""
-        above, note = _above(self.coupling.figures), self.coupling.note
-        return f"{above}; {note}" if above and note else above
 
 
 def _above(figures: Sequence[tuple[str, float, float]]) -> str:
