@@ -22,7 +22,7 @@ class InitLog(Request["InitLogResult"]):
     )
     model: str | Path = option("Robot: a name, a URDF or an MJCF file.", complete="robots files")
     out: str | Path | None = option(
-        "Default: FILE.toml beside it.",
+        "File of the description. Default: FILE.toml beside it.",
         default=None, flags="-o --out", path="new", complete="files",
     )  # fmt: skip
     force: bool = False

@@ -71,7 +71,7 @@ class TwinCommand(Request[Result]):
         "Identified model: wls with its bodies completed (default), or lmi; of several sets both.",
         default=None, choices=TRUTHS,
     )  # fmt: skip
-    seed: int = option("", default=0, least=0, shown=True)
+    seed: int = option("Seed of the noise.", default=0, least=0, shown=True)
     jobs: int = jobs_option()
 
     def run(self) -> Result:
