@@ -118,7 +118,8 @@ def _place(table: DhTable, convention: Convention, frames: Frames, R_base: Array
         if not row.is_joint:
             carrier, R_end, p_end = parent, R @ R_end, p + R @ p_end
         ends[row.link] = (carrier, R_end, p_end)
-        placed.append(_Placed(parent, R, p, axis, anchor, R_end, p_end))
+        body = _Placed(parent, R=R, p=p, axis=axis, anchor=anchor, R_end=R_end, p_end=p_end)
+        placed.append(body)
     return placed
 
 
