@@ -18,10 +18,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from sysid_bench.apps.actuators.commands.excite_actuators import (
-        CommandsRequest,
-        CommandsResult,
-    )
+    from sysid_bench.apps.actuators.commands.excite_actuators import CommandsRequest, CommandsResult
     from sysid_bench.apps.site.commands.site import SiteResult, site
     from sysid_bench.apps.surveys.commands.survey import SurveyRequest, SurveyResult, survey
     from sysid_bench.apps.twins.commands.limits import LimitsResult, limits

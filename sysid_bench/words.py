@@ -28,63 +28,21 @@ MOST_LOSSES: Final = 3
 """A resumed run repeats a `lost` cell until it was lost this often."""
 
 LABELS: Final = (
-    "robot",
-    "payload",
-    "task",
-    "terms",
-    "plant",
-    "prior",
-    "excitation",
-    "motions",
-    "held_out",
-    "simulation",
-    "rate",
-    "noise",
-    "signals",
-    "pipeline",
-    "estimator",
-)
+    "robot", "payload", "task", "terms", "plant", "prior", "excitation", "motions", "held_out",
+    "simulation", "rate", "noise", "signals", "pipeline", "estimator",
+)  # fmt: skip
 """Labels of a row: one text per axis of a suite."""
 
-CELL_FIELDS: Final = frozenset(LABELS) | {
-    "id",
-    "experiment",
-    "repeat",
-    "robot.free_base",
-    "payload.mass",
-    "noise.q",
-    "noise.tau",
-    "noise.quantum",
-    "noise.tau_drift",
-    "noise.tau_correlation",
-    "noise.force",
-    "noise.moment",
-    "noise.force_offset",
-    "noise.moment_offset",
-    "noise.force_drift",
-    "noise.moment_drift",
-    "noise.gain",
-    "noise.crosstalk",
-    "noise.mounting",
-    "noise.touch",
-    "prior.mass",
-    "prior.com",
-    "prior.inertia",
-    "prior.terms",
-    "prior.axes",
-    "prior.friction",
-    "prior.declared",
-    "prior.known",
-    "signals.filter",
-    "signals.derivatives",
-    "signals.torque",
-    "signals.runs",
-    "plant.use",
-    "excitation.use",
-    "simulation.use",
-    "pipeline.use",
-    "estimator.use",
-}
+CELL_FIELDS: Final = frozenset((
+    *LABELS, "id", "experiment", "repeat", "robot.free_base", "payload.mass",
+    "noise.q", "noise.tau", "noise.quantum", "noise.tau_drift", "noise.tau_correlation",
+    "noise.force", "noise.moment", "noise.force_offset", "noise.moment_offset",
+    "noise.force_drift", "noise.moment_drift", "noise.gain", "noise.crosstalk", "noise.mounting",
+    "noise.touch", "prior.mass", "prior.com", "prior.inertia", "prior.terms", "prior.axes",
+    "prior.friction", "prior.declared", "prior.known", "signals.filter", "signals.derivatives",
+    "signals.torque", "signals.runs", "plant.use", "excitation.use", "simulation.use",
+    "pipeline.use", "estimator.use",
+))  # fmt: skip
 """Fields of a planned cell in expressions, besides the written settings of its plug-ins."""
 
 PARAMETER: Final = "parameter"

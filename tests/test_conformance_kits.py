@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.apps.conformance import check_plugin_of, failed_checks
-from sysid_bench.apps.conformance.effect import effect_cases
 from sysid_bench.apps.conformance.error_checks import model_error_cases, sensor_error_cases
+from sysid_bench.apps.conformance.findings import robots_in_motion
 from sysid_bench.apps.conformance.motion_checks import design_cases
 from sysid_bench.apps.conformance.pipeline import pipeline_cases
 from sysid_bench.errors import UsageError
@@ -488,7 +488,7 @@ def restored_cases() -> Iterator[None]:
     """The shared inputs of the kits are put right after a plug-in that changes them."""
     kept = [case.robot.phi.copy() for case in model_error_cases()]
     yield
-    for cases in (design_cases, effect_cases, sensor_error_cases, pipeline_cases):
+    for cases in (design_cases, robots_in_motion, sensor_error_cases, pipeline_cases):
         cases.cache_clear()
     for case, phi in zip(model_error_cases(), kept, strict=True):
         case.robot.phi[:] = phi

@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1] / "sysid_bench"
-FILES = sorted(ROOT.rglob("*.py"))
+from tests.syntax import FILES, ROOT, nodes
 
 HEAVY = {
     "matplotlib": "figures alone need it, 0.4 s",
@@ -60,22 +59,20 @@ FOREIGN = {
 
 
 @cache
-def tree(file: Path) -> ast.Module:
-    return ast.parse(file.read_text(encoding="utf-8"))
-
-
-@cache
 def local_imports(file: Path) -> tuple[str, ...]:
     """Modules imported within functions of a file."""
-    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
-    nodes = {
-        node
-        for function in ast.walk(tree(file))
-        if isinstance(function, functions)
-        for node in ast.walk(function)
+    functions = [
+        range(node.lineno, (node.end_lineno or node.lineno) + 1)
+        for node in nodes(file)
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+    ]
+    return tuple(
+        module
+        for node in nodes(file)
         if isinstance(node, (ast.Import, ast.ImportFrom))
-    }
-    return tuple(module for node in nodes for module in modules_of(node))
+        if any(node.lineno in lines for lines in functions)
+        for module in modules_of(node)
+    )
 
 
 def modules_of(node: ast.Import | ast.ImportFrom) -> list[str]:
@@ -87,7 +84,7 @@ def modules_of(node: ast.Import | ast.ImportFrom) -> list[str]:
 
 def positional_calls(file: Path) -> Iterator[str]:
     """Calls of a file with too many positional arguments, as "line: function (count)"."""
-    for node in ast.walk(tree(file)):
+    for node in nodes(file):
         if isinstance(node, ast.Call) and len(node.args) > MOST_POSITIONAL:
             name = ast.unparse(node.func)
             if name not in FOREIGN:

@@ -52,25 +52,16 @@ def test_this_checkout_has_its_data(kind: str) -> None:
     assert package_folders.package_folder(kind) == CHECKOUT / kind
 
 
-@pytest.mark.parametrize("kind", ["collections", "datasets", "motors", "plants"])
-def test_further_data_lie_in_one_folder(kind: str, installation: Path) -> None:
-    for place in (installation.parent, installation):
-        (place / "data" / kind).mkdir(parents=True)
-        assert package_folders.package_folder(kind) == place / "data" / kind
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_checkout_keeps_data_beside_the_package(kind: str, installation: Path) -> None:
-    (installation.parent / kind).mkdir()
-    assert package_folders.package_folder(kind) == installation.parent / kind
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_wheel_keeps_data_inside_whatever_lies_beside(kind: str, installation: Path) -> None:
+@pytest.mark.parametrize(
+    "kind", ["robots", "suites", "data/collections", "data/datasets", "data/motors", "data/plants"]
+)
+def test_a_checkout_keeps_data_beside_the_package_and_a_wheel_inside(
+    kind: str, installation: Path
+) -> None:
     # Beside an installed package lies site-packages, where "robots" may be anybody's.
-    (installation / kind).mkdir()
-    (installation.parent / kind).mkdir()
-    assert package_folders.package_folder(kind) == installation / kind
+    for place in (installation.parent, installation):
+        (place / kind).mkdir(parents=True)
+        assert package_folders.package_folder(Path(kind).name) == place / kind
 
 
 @pytest.mark.parametrize("kind", KINDS)

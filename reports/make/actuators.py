@@ -8,15 +8,14 @@ values of the model file, published values, and least squares as published for t
 
 import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from sysid_bench.apps.actuators.delay_profile import RESOLVED
-from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives, left_out_share
-from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, drive_rows
+from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives
+from sysid_bench.apps.actuators.drive_rows import drive_rows
 from sysid_bench.apps.actuators.rollout import Drives, rollout_error, test_end
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
@@ -30,7 +29,6 @@ RUNS: Final = {("go2", run): v for run, v in enumerate((4.10, 3.78, 3.72, 3.47, 
 """mrad, figures to compare with: least squares with an offset, without held commands."""
 
 FITTED: Final = 0.6
-NORMAL: Final = 1.96
 
 
 def recording(folder: Path, run: int, robot: RobotModel) -> Log:
@@ -64,75 +62,28 @@ def of_model(robot: RobotModel, log: Log) -> Drives:
     return Drives(log.joints, np.stack([x[dofs] for x in columns], axis=1), 0.0)
 
 
-def rows(data: Path) -> Iterator[dict[str, Any]]:
-    """One row for each recording, with its fit."""
+def main() -> None:
+    """Print a line for each recording."""
+    data = Path(os.environ["SYSID_BENCH_DATA"])
+    print("recording   ours  whole  least sq.  model file  CPU s  delay ms  open ms  on bound")
     for (name, run), published in RUNS.items():
         robot = load_robot(data / name / f"{name}.xml")
         log = recording(data / name, run, robot)
         start = time.process_time()
-        found = fitted(robot, log)
+        fit = fitted(robot, log)
         seconds = time.process_time() - start
         whole = fitted(robot, log, np.arange(5) / log.recording.rate)
-        yield {
-            "recording": f"{name} {run}", "robot": robot, "log": log, "found": found,
-            "cpu": seconds, "ours": scored(robot, log, found.drives),
-            "whole": scored(robot, log, whole.drives), "least squares": published,
-            "model file": scored(robot, log, of_model(robot, log)),
-        }  # fmt: skip
-
-
-def main() -> None:
-    """Print the table, then the scatter between files."""
-    found = list(rows(Path(os.environ["SYSID_BENCH_DATA"])))
-    print("recording   ours  whole  least sq.  model file  CPU s  delay ms  open ms  on bound")
-    for row in found:
-        fit = row["found"]
+        ours, same, model = (
+            scored(robot, log, drives)
+            for drives in (fit.drives, whole.drives, of_model(robot, log))
+        )
+        assert fit.separation is not None
         mark = "confounded" if fit.separation.open > RESOLVED else ""
         print(
-            f"{row['recording']:10} {row['ours']:5.2f}  {row['whole']:5.2f}  "
-            f"{row['least squares']:9.2f}  {row['model file']:10.2f}  {row['cpu']:5.2f}  "
-            f"{1e3 * fit.delay:8.1f}  {1e3 * fit.separation.open:7.1f}  "
-            f"{int(fit.fit.at_bound.sum()):8d}  {mark}"
-        )
-    legs = [row for row in found if row["recording"].startswith(found[0]["recording"][:3])]
-    _print_exchange(legs)
-    _print_scatter(legs)
-
-
-def _print_exchange(legs: list[dict[str, Any]]) -> None:
-    """Print the errors of the values of one run on the others, over those of their own."""
-    ratios = [
-        scored(other["robot"], other["log"], one["found"].drives) / other["ours"]
-        for one in legs
-        for other in legs
-        if one is not other
-    ]
-    print(
-        f"values of one run on another: {np.median(ratios):.2f} x its own error (median), "
-        f"{max(ratios):.2f} x (worst)"
-    )
-
-
-def _print_scatter(legs: list[dict[str, Any]]) -> None:
-    """Print deviations between files and leave-one-run-out coverage, of values off their bound."""
-    values = np.array([row["found"].fit.values for row in legs])
-    std = np.array([row["found"].fit.std for row in legs])
-    bound = np.array([row["found"].fit.at_bound for row in legs])
-    free = np.logical_not(bound.any(axis=0))
-    for i, term in enumerate(UNKNOWNS):
-        used = free[:, i]
-        if not used.any():
-            print(f"{term:7} on its bound in a run for all joints")
-            continue
-        of_term, own = values[:, used, i], std[:, used, i]
-        mean = of_term.mean(axis=0)
-        textbook = np.mean(np.abs(of_term - mean) <= NORMAL * own)
-        print(
-            f"{term:7} {int(used.sum())} joints: between runs / residuals "
-            f"{np.median(of_term.std(axis=0, ddof=1) / own.mean(axis=0)):.1f}; left-out run held "
-            f"by 95 % {100 * left_out_share(of_term):.0f} %, by 90 % "
-            f"{100 * left_out_share(of_term, 0.9):.0f} %; mean held by residuals' 95 % "
-            f"{100 * textbook:.0f} %"
+            f"{f'{name} {run}':10} {ours:5.2f}  {same:5.2f}  {published:9.2f}  {model:10.2f}  "
+            f"{seconds:5.2f}  {1e3 * fit.delay:8.1f}  {1e3 * fit.separation.open:7.1f}  "
+            f"{int(fit.fit.at_bound.sum()):8d}  {mark}",
+            flush=True,
         )
 
 

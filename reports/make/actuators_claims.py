@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtri
 
 from reports.make.actuators import RUNS, fitted, recording, scored
 from sysid_bench.apps.actuators.bounded_fit import Group
@@ -23,6 +23,7 @@ from sysid_bench.apps.actuators.drive_estimate import DriveEstimate
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
 from sysid_bench.apps.actuators.rollout import Drives
 from sysid_bench.errors import SimulationError
+from sysid_bench.evaluation.intervals import left_out_held
 from sysid_bench.models.load import load_robot
 from sysid_bench.types import Array
 
@@ -143,7 +144,7 @@ def _repeats(data: Path) -> Iterator[str]:
 def _shares(label: str, values: Array, stds: Mapping[str, Array]) -> Iterator[str]:
     """Lines of one kind of values (n, c): ranges between files, then those of single fits."""
     between = values.std(axis=0, ddof=1)
-    held = [_held(values, None, level) for level in LEVELS]
+    held = [float(np.mean(left_out_held(values, level))) for level in LEVELS]
     yield _share_row(label, values.shape[1], "between files, Student's t", 1.0, held)
     for source, std in stds.items():
         held = [_held(values, std, level) for level in LEVELS]
@@ -156,19 +157,15 @@ def _share_row(label: str, count: int, source: str, ratio: float, held: list[flo
     return f"| {label} | {count} | {source} | {ratio:.2f} | {words} |"
 
 
-def _held(values: Array, std: Array | None, level: float) -> float:
-    """Share of the values that the range of the other runs holds: mean +- t s sqrt(1 + 1/n), with s
-    between them, or that of their own deviations and a normal quantile."""
+def _held(values: Array, std: Array, level: float) -> float:
+    """Share of the values that the mean of the other runs holds, +- z s sqrt(1 + 1/n), with s from
+    their own deviations."""
     inside = []
     for k, own in enumerate(values):
-        others = np.delete(values, k, axis=0)
-        n = len(others)
-        if std is None:
-            reach = float(stdtrit(n - 1, 0.5 + 0.5 * level)) * others.std(axis=0, ddof=1)
-        else:
-            own_std = np.sqrt(np.mean(np.delete(std, k, axis=0) ** 2, axis=0))
-            reach = float(ndtri(0.5 + 0.5 * level)) * own_std
-        inside.append(np.abs(own - others.mean(axis=0)) <= reach * np.sqrt(1.0 + 1.0 / n))
+        mean = np.delete(values, k, axis=0).mean(axis=0)
+        s = np.sqrt(np.mean(np.delete(std, k, axis=0) ** 2, axis=0))
+        reach = float(ndtri(0.5 + 0.5 * level)) * s * np.sqrt(1.0 + 1.0 / (len(values) - 1))
+        inside.append(np.abs(own - mean) <= reach)
     return float(np.mean(inside))
 
 

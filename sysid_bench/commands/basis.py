@@ -63,23 +63,23 @@ class Basis(Request["BasisResult"]):
         load = PAYLOADS[LOAD if definition.identifies_payload else "none"]
         robot = load_robot(self.source, load, self.free_base, self.robots_dir)
         chosen = terms_of(definition, robot, self.terms)
-        posed = definition.unknowns(robot, chosen, self.sensor, None)
-        R = maps.structural_factor(robot, posed.parameters, posed.rows, posed.cuts)
-        base = maps.base_map(R, posed.parameters)
+        unknowns = definition.unknowns(robot, chosen, self.sensor, None)
+        R = maps.structural_factor(robot, unknowns.parameters, unknowns.rows, unknowns.cuts)
+        base = maps.base_map(R, unknowns.parameters)
         certificate = definition.identifies_sub_tree
-        inertial = {column for body in posed.bodies for column in body.columns}
+        inertial = {column for body in unknowns.bodies for column in body.columns}
         return BasisResult(
             robot=robot.name,
             task=self.task,
             terms=list(chosen),
-            rows=list(robot.torque_rows if posed.rows is None else posed.rows),
-            parameters=len(posed.parameters),
+            rows=list(robot.torque_rows if unknowns.rows is None else unknowns.rows),
+            parameters=len(unknowns.parameters),
             base_parameters=base.rank,
             # Joint terms come last among the unknowns: no inertial pivot depends on them.
             inertial=sum(name in inertial for name in base.names),
             gap=base.gap,
             near_degenerate=base.near_degenerate,
-            dropped_torque=maps.left_out_torque(base, posed.truth.theta),
+            dropped_torque=maps.left_out_torque(base, unknowns.truth.theta),
             # Below the rank tolerance but above rounding error.
             near_degenerate_directions=[
                 {"singular_value": value, "expression": texts.expression(terms, 2), "terms": terms}
@@ -90,7 +90,7 @@ class Basis(Request["BasisResult"]):
                 for terms in texts.base_expressions(base)
             ],
             verdicts=dict(zip(base.parameters, texts.parameter_verdict(base), strict=True)),
-            sensor=certificate_fields(robot, posed.cuts[0]) if certificate else None,
+            sensor=certificate_fields(robot, unknowns.cuts[0]) if certificate else None,
         )
 
     def plugins(self) -> list[tuple[str, str | None]]:

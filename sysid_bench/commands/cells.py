@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from sysid_bench.commands.request import (
-    NOTHING,
-    OK,
-    Request,
-    argument,
-    option,
-    python_function,
-)
+from sysid_bench.commands.request import NOTHING, OK, Request, argument, option, python_function
 from sysid_bench.commands.result import Result, value_text
 from sysid_bench.commands.values import parse_condition, parse_names
 from sysid_bench.errors import unknown_name

@@ -5,14 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.commands.request import (
-    FAILED,
-    OK,
-    Request,
-    argument,
-    option,
-    python_function,
-)
+from sysid_bench.commands.request import FAILED, OK, Request, argument, option, python_function
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import count_text
 

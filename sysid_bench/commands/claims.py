@@ -49,6 +49,7 @@ class Claims(Request["ClaimsResult"]):
     def run(self) -> "ClaimsResult":
         """Return the claims with their verdicts."""
         from sysid_bench.commands.run_folder import condition, holds, no_rows, open_run
+        from sysid_bench.evaluation.intervals import at_level
         from sysid_bench.reporting.claims import ClaimRows, claim_findings
 
         folders = [open_run(run) for run in self.runs]
@@ -70,10 +71,12 @@ class Claims(Request["ClaimsResult"]):
                 fields=lambda text: condition(text).fields,
                 metrics=metrics,
             )
-            findings += claim_findings(claim.model_dump(), rows)
+            with at_level(used[0].suite.confidence):
+                findings += claim_findings(claim.model_dump(), rows)
         words = ["sysid-bench", "claims", *paths]
         words += ["--suite", str(self.suite)] if self.suite else []
-        return _result(paths, findings, shlex.join(words))
+        with at_level(folders[0].suite.confidence):
+            return _result(paths, findings, shlex.join(words))
 
 
 class ClaimsCommand(Claims):
@@ -142,15 +145,15 @@ class ClaimsResult(Result):
 
     def text(self, form: str) -> str:
         """The table as "md", "csv" or "latex"."""
+        from sysid_bench.commands.paper import text_of
         from sysid_bench.reporting.latex import Origin
-        from sysid_bench.reporting.text_table import to_csv, to_latex
 
         if form not in FORMATS:
             raise unknown_name("format", form, FORMATS)
-        if form == "latex":
-            command = f"{self.command} --format latex"
-            return to_latex(self.listing, Origin(", ".join(self.runs), "", command))
-        return to_csv(self.listing) if form == "csv" else self.summary() + "\n"
+        if form == "md":
+            return self.summary() + "\n"
+        command = f"{self.command} --format latex"
+        return text_of(self.listing, form, Origin(", ".join(self.runs), "", command))
 
 
 def _asked(folders: "Sequence[RunFolder]", suite: str | Path | None) -> "Asked":
@@ -186,6 +189,7 @@ def _lines(folders: "tuple[RunFolder, ...]", kind: str) -> "pd.DataFrame":
 
 
 def _result(runs: list[str], findings: "Sequence[ClaimFinding]", command: str) -> ClaimsResult:
+    from sysid_bench.evaluation.intervals import with_level
     from sysid_bench.evaluation.robot_statistic import Verdict
     from sysid_bench.reporting.text_table import TextTable
 
@@ -209,11 +213,12 @@ def _result(runs: list[str], findings: "Sequence[ClaimFinding]", command: str) -
         )
         for found in findings
     )  # fmt: skip
+    head, notes = tuple(map(with_level, _HEAD)), tuple(map(with_level, _NOTES))
     return ClaimsResult(
         runs=runs,
         counts={name: verdicts.count(name) for name in get_args(Verdict)},
         failed=failed,
         claims=[asdict(found) for found in findings],
-        listing=TextTable("claims", "Claims", _HEAD, rows, (*_NOTES, *statements)),
+        listing=TextTable("claims", "Claims", head, rows, (*notes, *statements)),
         command=command,
     )

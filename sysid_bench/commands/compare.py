@@ -54,7 +54,10 @@ class Compare(Request["CompareResult"]):
         `metrics` replace the default ones. Raises UsageError for what is neither, for an unknown
         metric, and for two without a common cell.
         """
+        from sysid_bench.commands.run_folder import open_run
+        from sysid_bench.evaluation.intervals import at_level
         from sysid_bench.harness.comparison.run_difference import find_difference, metric_ratio
+        from sysid_bench.input_files import is_file
 
         before, after = str(self.before), str(self.after)
         was, now = (_values(source, self.metrics) for source in (before, after))
@@ -70,8 +73,10 @@ class Compare(Request["CompareResult"]):
             )
         words = ["sysid-bench", "compare", before, after]
         words += ["--metrics", ",".join(self.metrics)] if self.metrics else []
-        changes, ratios = find_difference(was, now), metric_ratio(was, now)
-        return _result((before, after), changes, ratios, shlex.join(words))
+        level = None if is_file(Path(after)) else open_run(after).suite.confidence
+        with at_level(level):
+            changes, ratios = find_difference(was, now), metric_ratio(was, now)
+            return _result((before, after), changes, ratios, shlex.join(words))
 
 
 class CompareCommand(Compare):
@@ -132,8 +137,8 @@ class CompareResult(Result):
 
     def text(self, form: str) -> str:
         """The table of metrics as "csv" or "latex"; all that was compared as "md" or "json"."""
+        from sysid_bench.commands.paper import text_of
         from sysid_bench.reporting.latex import Origin
-        from sysid_bench.reporting.text_table import to_csv, to_latex
 
         if form not in FORMATS:
             raise unknown_name("format", form, FORMATS)
@@ -141,10 +146,8 @@ class CompareResult(Result):
             return json.dumps(self.to_dict(), indent=2) + "\n"
         if form == "md":
             return self.summary() + "\n"
-        first = self.listings[0]
-        if form == "csv":
-            return to_csv(first)
-        return to_latex(first, Origin(self.after, "", f"{self.command} --format latex"))
+        command = f"{self.command} --format latex"
+        return text_of(self.listings[0], form, Origin(self.after, "", command))
 
     def write_html(self, file: str | Path) -> None:
         """Write a page that is complete in itself, with a filter over the changed cells."""
@@ -199,6 +202,7 @@ def _result(
 
 
 def _ratio_table(ratios: "Sequence[MetricRatio]") -> "TextTable":
+    from sysid_bench.evaluation.intervals import with_level
     from sysid_bench.harness.comparison.run_difference import MARGIN
     from sysid_bench.reporting.text_table import TextTable
 
@@ -218,7 +222,9 @@ def _ratio_table(ratios: "Sequence[MetricRatio]") -> "TextTable":
         f"Verdict: equivalent within {MARGIN:.0%}; none without an interval (fewer than six "
         "robots). Left out: cells with a value that is zero, rounding or absent."
     )
-    return TextTable("metrics", "Metrics after over before", _HEAD, rows, (note,))
+    return TextTable(
+        "metrics", "Metrics after over before", tuple(map(with_level, _HEAD)), rows, (note,)
+    )
 
 
 def _notes(after: str, changes: "RunDifference", largest: "Sequence[Change]") -> list[str]:

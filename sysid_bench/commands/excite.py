@@ -75,8 +75,8 @@ class ExciteRequest(Request["ExciteResult"]):
         "CSV of a motion already recorded: design the next one.",
         default=(), path="new", several=True, complete="files",
     )  # fmt: skip
-    rate: float = option("Of the written samples.", default=200.0, unit="Hz", shown="200 Hz")
-    seed: int = option("", default=0, least=0, shown=True)
+    rate: float = option("Rate of the written samples.", default=200.0, unit="Hz", shown="200 Hz")
+    seed: int = option("Seed of the search.", default=0, least=0, shown=True)
     robots_dir: Path | None = robots_option()
 
     def run(self) -> "ExciteResult":
@@ -102,9 +102,9 @@ class ExciteCommand(ExciteRequest):
     """
 
     period: float | None = option(
-        "Default: 10 s; of actuators 20 s.", default=None, metavar="S", unit="s"
+        "Length of a period. Default: 10 s; of actuators 20 s.", default=None, metavar="S", unit="s"
     )
-    harmonics: int | None = option("Default: 5.", default=None, least=1)
+    harmonics: int | None = option("Harmonics of the curves. Default: 5.", default=None, least=1)
     family: str | None = option(
         "fourier, fourier-polynomial or b-spline; the last two start and end at rest. "
         "Default: fourier, and fourier-polynomial for ros2, damiao and can.",
@@ -114,7 +114,7 @@ class ExciteCommand(ExciteRequest):
         "Joints that move; default: all.", default=None, metavar="A,B,...", parse=parse_words
     )
     margin: float | None = option(
-        "Of every limit, which the search leaves. Default: 2 %.",
+        "Share of every limit that the search leaves. Default: 2 %.",
         default=None, metavar="SHARE", unit="1",
     )  # fmt: skip
     others: Mapping[str, Any] = option(
@@ -122,8 +122,10 @@ class ExciteCommand(ExciteRequest):
         "(0.01 m), floor that nothing may touch; see `sysid-bench help optimised`.",
         default={}, flags="--set", metavar="KEY=VALUE", several=True, parse=_settings_of,
     )  # fmt: skip
-    iterations: int | None = option("Of the search. Default: 150.", default=None, least=1)
-    starts: int | None = option("Of the search. Default: 1.", default=None, least=1)
+    iterations: int | None = option(
+        "Iterations of the search. Default: 150.", default=None, least=1
+    )
+    starts: int | None = option("Starts of the search. Default: 1.", default=None, least=1)
     gains: Mapping[str, Sequence[float]] = option(
         "Task actuators: gains of the position controller (N m/rad, N m s/rad); one number for all "
         "joints, or one each. Default: those of the model's actuators.",

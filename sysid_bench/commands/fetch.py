@@ -44,11 +44,7 @@ class Fetch(Request["FetchResult"]):
         UsageError for an unknown set, a damaged file, a failed download, a full disk, and where
         files without a licence would have to be downloaded or copied.
         """
-        from sysid_bench.models.collection import (
-            fetch_collection,
-            package_folder,
-            read_collection,
-        )
+        from sysid_bench.models.collection import fetch_collection, package_folder, read_collection
         from sysid_bench.models.data_sets import fetch_files
 
         collections = package_folders.collection_files()
@@ -126,11 +122,7 @@ def _licence_text(found: "DataSetFiles") -> str:
 
 def _found_dataset(name: str) -> "DataSetFiles":
     """The data set of a name or folder; raises UsageError that names collections, too."""
-    from sysid_bench.models.data_sets import (
-        MANIFEST,
-        find_dataset,
-        is_description_file,
-    )
+    from sysid_bench.models.data_sets import MANIFEST, find_dataset, is_description_file
 
     sets = package_folders.dataset_files()
     if name in sets or is_description_file(name):

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.commands.request import Request, argument, option, python_function
 from sysid_bench.commands.result import Result
@@ -13,6 +13,7 @@ from sysid_bench.words import RECORDED
 
 if TYPE_CHECKING:
     from sysid_bench.harness.frames import Frames
+    from sysid_bench.reporting.figures import Drawing
 
 SIZES: Final = ("single", "double")
 """Columns of a two-column paper that a figure takes."""
@@ -81,27 +82,31 @@ def _drawing(folder: str | Path, name: str | None) -> dict[str, _Draw]:
     names."""
     from sysid_bench.commands.run_folder import open_run
     from sysid_bench.commands.run_report import table_of
-    from sysid_bench.reporting.figures import figure as draw_table
+    from sysid_bench.reporting import figures
 
     if name == TRAINING_SIZES:
         return _training_sizes(open_run(folder).frames())
     made = None if name in (None, ALL) else table_of(folder, str(name))
-    return {made.name: partial(draw_table, made)} if made is not None and made.has_figure else {}
+    return {made.name: _into(figures.figure, made)} if made is not None and made.has_figure else {}
+
+
+def _into(drawing: "Drawing[...]", *data: Any) -> _Draw:
+    return lambda path, width: drawing.write(path, *data, width)
 
 
 def _drawings(folder: str | Path) -> dict[str, _Draw]:
     """Functions that draw the figures of a run, by name."""
     from sysid_bench.commands.paper import paper_figures, write_paper_figure
     from sysid_bench.commands.run_report import result_of
-    from sysid_bench.reporting.figures import figure as draw_table
+    from sysid_bench.reporting import figures
     from sysid_bench.reporting.ranking_figures import cost_by_method, cost_figure, profile
 
     run, frames, tables, ranked = result_of(folder)
     cells = frames.cells
-    found: dict[str, _Draw] = {made.name: partial(draw_table, made) for made in tables}
-    found |= {one.name: partial(profile, one) for one in ranked}
+    found: dict[str, _Draw] = {made.name: _into(figures.figure, made) for made in tables}
+    found |= {one.name: _into(profile, one) for one in ranked}
     costs = (one for one in ranked if cost_by_method(one, cells))
-    found |= {f"{one.name}-cost": partial(cost_figure, one, cells) for one in costs}
+    found |= {f"{one.name}-cost": _into(cost_figure, one, cells) for one in costs}
     found |= {name: partial(write_paper_figure, sample) for name, sample in paper_figures(run)}
     return {**found, **_training_sizes(frames)}
 
@@ -120,4 +125,4 @@ def _training_sizes(frames: "Frames") -> dict[str, _Draw]:
     if lengths.empty or lengths.max() < 2:
         return {}
     sizes = size_errors(recorded, frames.joints)
-    return {TRAINING_SIZES: lambda path, width: size_figure(path, sizes, max(width, DOUBLE))}
+    return {TRAINING_SIZES: lambda path, width: size_figure.write(path, sizes, max(width, DOUBLE))}

@@ -64,7 +64,7 @@ class Identify(Request["IdentifyResult"]):
     )  # fmt: skip
     terms: Sequence[str] | None = terms_option()
     estimator: str | None = option(
-        "Default: ols; wls with logs and for wrench; min-norm for terminal.",
+        "Method. Default: ols; wls with logs and for wrench; min-norm for terminal.",
         default=None, metavar="NAME", complete="estimators",
     )  # fmt: skip
     noise: Mapping[str, Any] | None = option(
@@ -85,7 +85,7 @@ class Identify(Request["IdentifyResult"]):
         "The result as a file.", default=None, path="new", complete="files"
     )
     robots_dir: Path | None = robots_option()
-    seed: int = option("", default=0, shown=True, least=0, when=SIMULATION)
+    seed: int = option("Seed of motion and noise.", default=0, shown=True, least=0, when=SIMULATION)
     sensor: str | None = sensor_option()
     free_base: bool | None = free_base_option()
     contacts: Sequence[str] | str | None = option(

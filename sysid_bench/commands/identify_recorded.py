@@ -25,7 +25,7 @@ from sysid_bench.commands.result import file_text, interval_text, value_text
 from sysid_bench.commands.write_model import check_files, check_output_files
 from sysid_bench.errors import SHOWN, EstimationError, ModelError, UnsupportedError, WriteError
 from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
-from sysid_bench.evaluation.intervals import LEVEL_TEXT
+from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.evaluation.score import joint_errors
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.left_out_parts import payload_interval, payload_mass
@@ -54,7 +54,7 @@ LEAST_GAIN_ERROR, LARGEST_DEVIATION = 0.05, 0.2
 """Least error of a torque scale that is reported, and the largest standard deviation (shares) with
 which a joint decides it."""
 
-Posed = ExperimentData[RecordedSource]
+Prepared = ExperimentData[RecordedSource]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -133,37 +133,39 @@ def identify_recorded(request: Identify) -> RecordedResult:
         check_files(load_robot(manifest), request.task, model_out, json_out)
     beside = None if model_out is None else model_out.with_suffix(".toml")
     check_output_files(request.files, beside, [*training, *tests.values()])
-    posed = recorded_data(_specification(request, training, tests), manifest, Path())
-    source = posed.source
+    prepared = recorded_data(_specification(request, training, tests), manifest, Path())
+    source = prepared.source
     if not isinstance(source, RecordedSource):
         raise UnsupportedError(
             f"The task {request.task!r} has a way of its own to recordings; use it in a suite."
         )
-    doubts = check_contradictions(source.recordings, request.accept)
+    contradictions = check_contradictions(source.recordings, request.accept)
     reason = source.prior.reason
     hint = f"The prior is absent: {reason}." if reason else ""
-    estimate = solved(posed, method, f"{name} on {manifest.name}", hint)
+    estimate = solved(prepared, method, f"{name} on {manifest.name}", hint)
     assert estimate.beta is not None
-    fields = cell_fields(posed, method, estimate, (*OF_CELLS, "rank_gap", "near_degenerate"))
+    fields = cell_fields(prepared, method, estimate, (*OF_CELLS, "rank_gap", "near_degenerate"))
     # Costs of the constraints that bind, for the estimator `lmi` and for written models.
     is_feasible = model_out is not None or name == "lmi"
-    fields |= _recorded_fields(posed, estimate) | {
+    fields |= _recorded_fields(prepared, estimate) | {
         "model": manifest.name, "file": str(manifest.path), "task": request.task,
         "estimator": name, "figure": file_text(figure),
-        "payload": _payload(request, posed, method, estimate, fields["bodies"]),
-        "constraints": binding_errors(posed.problem, posed.held_out) if is_feasible else None,
+        "payload": _payload(request, prepared, method, estimate, fields["bodies"]),
+        "constraints": binding_errors(prepared.problem, prepared.held_out) if is_feasible else None,
     }  # fmt: skip
-    warnings = [*fields.pop("warnings"), *_warnings(posed, estimate, fields), *doubts]
+    warnings = [*fields.pop("warnings"), *_warnings(prepared, estimate, fields), *contradictions]
     result = RecordedResult(**fields, warnings=list(dict.fromkeys(warnings)))
     if figure is not None:
         # Measured and predicted torque of the first test log, or of the training one.
-        found = predict_log(posed, estimate.beta)
+        found = predict_log(prepared, estimate.beta)
         units = tuple(kind.removeprefix("joint ") for kind in found.problem.kinds)
         rows = tuple(found.problem.rows)
-        torque_figure(
+        torque_figure.write(
             figure, StoredTorque("", found.t, found.measured, found.predicted, rows, units)
         )
-    return result if model_out is None else _with_model(result, request, posed, estimate, model_out)
+    return (
+        result if model_out is None else _with_model(result, request, prepared, estimate, model_out)
+    )
 
 
 def _specification(
@@ -186,14 +188,14 @@ def _specification(
 
 
 def _with_model(
-    result: RecordedResult, request: Identify, posed: Posed, estimate: Estimate, file: Path
+    result: RecordedResult, request: Identify, prepared: Prepared, estimate: Estimate, file: Path
 ) -> RecordedResult:
     """The result with the written model; a WriteError holds it where the model is refused."""
     # Both engines, which read the file again, load for longer than a short recording is fitted.
     from sysid_bench.commands.recorded_model import write_recorded_model
 
     try:
-        written = write_recorded_model(posed, estimate, file, request.complete)
+        written = write_recorded_model(prepared, estimate, file, request.complete)
     except (EstimationError, ModelError) as error:
         raise WriteError(str(error), result) from error
     return replace(result, model_out=written.file, written=asdict(written))
@@ -202,9 +204,9 @@ def _with_model(
 # --- Fields -------------------------------------------------------------------------------------
 
 
-def _recorded_fields(posed: Posed, estimate: Estimate) -> dict[str, Any]:
+def _recorded_fields(prepared: Prepared, estimate: Estimate) -> dict[str, Any]:
     """Fields of the logs and their processing, and errors joint by joint."""
-    problem, source, beta = posed.problem, posed.source, estimate.beta
+    problem, source, beta = prepared.problem, prepared.source, estimate.beta
     assert beta is not None
     used, selection = source.builder.preprocessing, source.selection
     logs = [("train", log) for log in source.training]
@@ -224,7 +226,7 @@ def _recorded_fields(posed: Posed, estimate: Estimate) -> dict[str, Any]:
             "left_out": selection.parts,
         },
         "training": joint_errors(problem, beta),
-        "tests": {label: joint_errors(test, beta) for label, test in posed.held_out.items()},
+        "tests": {label: joint_errors(test, beta) for label, test in prepared.held_out.items()},
         "replayed": {
             label: repetition_error(source.training, test, problem.rows)
             for label, test in source.tests.items()
@@ -257,7 +259,7 @@ def _log_fields(use: str, processed: ProcessedLog) -> dict[str, Any]:
 
 def _payload(
     request: Identify,
-    posed: Posed,
+    prepared: Prepared,
     method: Any,
     estimate: Estimate,
     bodies: Mapping[str, dict[str, Any]],
@@ -265,21 +267,21 @@ def _payload(
     """Identified payload, or its mass alone where its position is given; None for other tasks."""
     if not find_task(request.task).identifies_payload:
         return None
-    source, beta = posed.source, estimate.beta
+    source, beta = prepared.source, estimate.beta
     assert beta is not None
     if request.position_given:
-        return asdict(payload_mass(method, posed.problem, source.builder, source.training, beta))
-    intervals = payload_interval(method, posed.problem, source.builder, source.training, beta)
+        return asdict(payload_mass(method, prepared.problem, source.builder, source.training, beta))
+    intervals = payload_interval(method, prepared.problem, source.builder, source.training, beta)
     return {**list(bodies.values())[-1], "intervals": intervals}
 
 
 # --- Warnings -----------------------------------------------------------------------------------
 
 
-def _warnings(posed: Posed, estimate: Estimate, fields: Mapping[str, Any]) -> Iterator[str]:
+def _warnings(prepared: Prepared, estimate: Estimate, fields: Mapping[str, Any]) -> Iterator[str]:
     """Repairs of the model, findings in the logs, doubtful torques, repeated motions, verdicts, and
     gains that a known load contradicts."""
-    source = posed.source
+    source = prepared.source
     yield from source.training[0].robot.repairs
     for one in source.recordings:
         yield from (f"{one.log.description.source.name}: {f.text}" for f in one.log.findings)
@@ -292,7 +294,7 @@ def _warnings(posed: Posed, estimate: Estimate, fields: Mapping[str, Any]) -> It
                 "predicted again, not how well others are; the training torque itself, played "
                 f"again, errs by {shares} %"
             )
-    yield from warnings_of(estimate, posed.problem)
+    yield from warnings_of(estimate, prepared.problem)
     stated = max(log.payload.mass for log in source.training)
     if fields["payload"] is not None and stated > 0:
         yield from _gain_warnings(fields["payload"], stated)
@@ -339,8 +341,8 @@ def _gain_warnings(payload: Mapping[str, Any], stated: float) -> Iterator[str]:
         if not (low <= stated <= high or abs(found / stated - 1) < LEAST_GAIN_ERROR):
             yield (
                 f"the log states a payload of {stated:.4g} kg, the torques give {found:.4g} kg "
-                f"({LEVEL_TEXT} in {interval_text(low, high)}): if the statement is right, torques "
-                f"are {found / stated:.3g} times the true ones, as with wrong drive gains"
+                f"({level_text()} in {interval_text(low, high)}): if the statement is right, "
+                f"torques are {found / stated:.3g} times the true ones, as with wrong drive gains"
             )
 
 
@@ -388,8 +390,8 @@ def _payload_lines(payload: Mapping[str, Any]) -> Iterator[str]:
             yield f"    {', '.join(texts)} {unit}"
     if payload["intervals"]:
         yield (
-            f"    {LEVEL_TEXT} intervals by leaving parts of the motion out; a wrong torque scale, "
-            "as of drive gains, moves all of them alike and is not in them"
+            f"    {level_text()} intervals by leaving parts of the motion out; a wrong torque "
+            "scale, as of drive gains, moves all of them alike and is not in them"
         )
 
 

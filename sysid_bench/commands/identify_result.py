@@ -95,7 +95,9 @@ class IdentifyResult(Result):
         raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}.")
 
     def _fields(self) -> dict[str, Any]:
-        return {**self.scores, **super()._fields()}
+        own = super()._fields()
+        asked = ("model", "file", "task", "terms", "rows", "estimator")
+        return {**{key: own.pop(key) for key in asked}, **self.scores, **own}
 
     @property
     def _urgent(self) -> int:

@@ -131,15 +131,15 @@ def identify_simulated(request: Identify) -> SimulatedResult:
     check_files(robot, request.task, model_out, json_out)
     if not loaded.check.ok():
         raise ModelError(f"{robot.name}: {loaded.check.reason_text()}")
-    ready = prepare_simulated(spec, loaded)
-    estimate = solved(ready, method, f"{name} on {robot.name}", ready.source.warning)
+    prepared = prepare_simulated(spec, loaded)
+    estimate = solved(prepared, method, f"{name} on {robot.name}", prepared.source.warning)
     if request.complete is not None:
-        estimate = completed_estimate(estimate, ready.problem, request.complete)
-    result = _result(request, spec, loaded, ready, estimate)
+        estimate = completed_estimate(estimate, prepared.problem, request.complete)
+    result = _result(request, spec, loaded, prepared, estimate)
     if model_out is not None:
         whole = request.complete is not None
         try:
-            write_model(robot, request.task, estimate, ready.problem, model_out, whole)
+            write_model(robot, request.task, estimate, prepared.problem, model_out, whole)
         except ModelError as error:
             raise WriteError(str(error), replace(result, model_out=None)) from error
     return result
@@ -153,14 +153,14 @@ def _result(
     request: Identify,
     spec: ExperimentSpec,
     loaded: LoadedRobot,
-    ready: ExperimentData[SimulatedSource],
+    prepared: ExperimentData[SimulatedSource],
     estimate: Estimate,
 ) -> SimulatedResult:
     """The row of the cell, the estimate, and what a sensor sees."""
-    robot, problem, source = loaded.robot, ready.problem, ready.source
+    robot, problem, source = loaded.robot, prepared.problem, prepared.source
     method = build("estimator", _estimator(request))
     reported = (*OF_CELLS, "left_out", "gap", "plausible")
-    fields = cell_fields(ready, method, estimate, reported, {"gap": loaded.check.gap})
+    fields = cell_fields(prepared, method, estimate, reported, {"gap": loaded.check.gap})
     own = [*robot.repairs, *warnings_of(estimate, problem), *filter(None, [source.warning])]
     sensor = None
     if source.task.definition.identifies_sub_tree:
@@ -168,7 +168,7 @@ def _result(
         errors = None if test is None else test.errors(problem, source.truth, estimate)
         # RMS errors with true, CAD and identified parameters on a held-out motion.
         found = None if errors is None else {key: asdict(one) for key, one in errors.items()}
-        sensor = _sensor_fields(ready) | {"estimation": found}
+        sensor = _sensor_fields(prepared) | {"estimation": found}
     is_payload = source.task.definition.identifies_payload
     warnings = fields.pop("warnings")
     assert estimate.beta is not None
@@ -231,15 +231,15 @@ def _rounding(beta: Array, beta_true: Array) -> float | None:
 # --- Behind a force/torque sensor ---------------------------------------------------------------
 
 
-def _sensor_fields(ready: ExperimentData[SimulatedSource]) -> dict[str, Any]:
+def _sensor_fields(prepared: ExperimentData[SimulatedSource]) -> dict[str, Any]:
     """Sensor, bodies of its sub-tree, structural and excited rank, the drives whose torque can and
     cannot be predicted from its data, the same of components of the wrench, and the certificate."""
-    cut, excitation = ready.source.task.cuts[0], ready.source.excitation
+    cut, excitation = prepared.source.task.cuts[0], prepared.source.excitation
     assert excitation is not None
     return {
         "name": cut.name,
         "at": cut.at,
-        "bodies": [ready.robot.body_names[b] for b in cut.bodies],
+        "bodies": [prepared.robot.body_names[b] for b in cut.bodies],
         "ends_at": list(cut.end_sensors),
         "structural_rank": excitation.structural,
         "excited_rank": excitation.rank,
@@ -248,7 +248,7 @@ def _sensor_fields(ready: ExperimentData[SimulatedSource]) -> dict[str, Any]:
         "missing": dict(excitation.missing),
         "unpredictable_wrench": list(excitation.unpredictable_wrench),
         "missing_wrench": dict(excitation.missing_wrench),
-        "certificate": certificate_fields(ready.robot, cut),
+        "certificate": certificate_fields(prepared.robot, cut),
         "warning": excitation.warning,
     }
 

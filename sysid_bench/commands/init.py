@@ -77,7 +77,11 @@ class InitSuite(Request["InitFileResult"]):
         default="ur5", shown=True, complete="robots files",
     )  # fmt: skip
     out: Path = option(
-        "", default=Path("suite.toml"), flags="-o --out", shown=True, complete="files"
+        "File of the suite.",
+        default=Path("suite.toml"),
+        flags="-o --out",
+        shown=True,
+        complete="files",
     )
     force: bool = False
 
@@ -110,7 +114,11 @@ class InitEstimator(Request["InitFileResult"]):
 
     name: str = argument("[NAME]", default="Mine")
     out: str | Path | None = option(
-        "Default: name.py.", default=None, flags="-o --out", path="new", complete="files"
+        "File of the estimator. Default: name.py.",
+        default=None,
+        flags="-o --out",
+        path="new",
+        complete="files",
     )
     force: bool = False
 

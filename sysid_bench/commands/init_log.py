@@ -6,13 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sysid_bench.commands.init import relative_to, toml_value, write_new
-from sysid_bench.commands.request import (
-    OK,
-    Request,
-    argument,
-    option,
-    python_function,
-)
+from sysid_bench.commands.request import OK, Request, argument, option, python_function
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, first_names
 
@@ -28,7 +22,7 @@ class InitLog(Request["InitLogResult"]):
     )
     model: str | Path = option("Robot: a name, a URDF or an MJCF file.", complete="robots files")
     out: str | Path | None = option(
-        "Default: FILE.toml beside it.",
+        "File of the description. Default: FILE.toml beside it.",
         default=None, flags="-o --out", path="new", complete="files",
     )  # fmt: skip
     force: bool = False

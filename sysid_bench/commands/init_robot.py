@@ -34,9 +34,9 @@ class InitRobot(Request["InitRobotResult"]):
         default=None, flags="--dh", metavar="TABLE.csv", complete="files",
     )  # fmt: skip
     out: Path | None = option(
-        "Folder; default: the name.", default=None, flags="-o --out", complete="files"
+        "Folder of the robot; default: its name.", default=None, flags="-o --out", complete="files"
     )
-    name: str | None = option("Default: that of the table.", default=None)
+    name: str | None = option("Name of the robot. Default: that of the file.", default=None)
     modified: bool = option("Craig's convention; default: the standard one.", default=False)
     frames: str = option(
         "Where parameters are taken: at the joint before the link, or in its DH frame.",

@@ -86,11 +86,21 @@ class Verbs(click.Group):
 
 @click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--debug", is_flag=True, help="Show tracebacks.")
+@click.option(
+    "--confidence",
+    type=click.FloatRange(0, 1, True, True),
+    metavar="0.95",
+    help="Level of all intervals, in place of that of a suite; default: 0.95.",
+)
 @click.version_option(package_name="sysid-bench", prog_name="sysid-bench")
 @click.pass_context
-def main(ctx: click.Context, debug: bool) -> None:
+def main(ctx: click.Context, debug: bool, confidence: float | None) -> None:
     """Benchmark of robot dynamic identification, cross-validated with Pinocchio."""
     ctx.obj = debug
+    if confidence is not None:
+        from sysid_bench.evaluation.intervals import at_level  # numpy, which --help does not need
+
+        ctx.with_resource(at_level(confidence))
     for variable in THREADS:  # read once, when numpy is imported
         os.environ.setdefault(variable, "1")
     if "" not in sys.path:  # "my_lab:Thing" is found in the working folder, as with python -m

@@ -69,8 +69,8 @@ def write_paper_figure(
 ) -> Path:
     """Draw torques or curves (width in inches) into a .pdf, .png or .svg file."""
     if isinstance(sample, StoredCurves):
-        return curve_figure(path, sample, width)
-    return torque_figure(path, sample, width)
+        return curve_figure.write(path, sample, width)
+    return torque_figure.write(path, sample, width)
 
 
 def paper_figures(run: RunFolder) -> Iterator[tuple[str, StoredTorque | StoredCurves]]:

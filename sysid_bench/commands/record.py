@@ -93,7 +93,7 @@ class View(Request["subprocess.Popen[bytes]"]):
 
     folder: str | Path = argument("RUN", complete="runs folders")
     identifier: str = argument("ID", complete="cells")
-    web: bool = option("In the browser, served on this machine alone.", default=False)
+    web: bool = option("Open it in the browser, served on this machine alone.", default=False)
 
     def run(self) -> "subprocess.Popen[bytes]":
         """Open the recording of a cell, written first where it is absent."""

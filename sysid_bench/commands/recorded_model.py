@@ -68,7 +68,7 @@ class WrittenModel:
 
 
 def write_recorded_model(
-    posed: ExperimentData[RecordedSource], estimate: Estimate, target: Path, distance: str | None
+    prepared: ExperimentData[RecordedSource], estimate: Estimate, target: Path, distance: str | None
 ) -> WrittenModel:
     """Write the model file `target` and the manifest beside it; read both again and judge them.
 
@@ -76,10 +76,10 @@ def write_recorded_model(
     the fit. Raises EstimationError without whole bodies, ModelError where the files cannot be
     written or differ from what was written.
     """
-    chosen = _whole(posed, estimate, distance)
+    chosen = _whole(prepared, estimate, distance)
     assert chosen.estimate.theta is not None
     assert estimate.beta is not None
-    robot, problem = posed.source.training[0].robot, posed.problem
+    robot, problem = prepared.source.training[0].robot, prepared.problem
     theta = dict(zip(problem.parameters, chosen.estimate.theta.tolist(), strict=True))
     bodies = {
         body.name: np.array([theta.pop(column) for column in body.columns])
@@ -94,7 +94,7 @@ def write_recorded_model(
     manifest = replace(original, joints={**robot.manifest.joints, **terms})
     file = target.with_suffix(".toml")
     write_text(file, manifest_text(manifest, target.name))
-    return _judged(posed, estimate.beta, file, chosen, left_out)
+    return _judged(prepared, estimate.beta, file, chosen, left_out)
 
 
 # --- Whole bodies -------------------------------------------------------------------------------
@@ -111,11 +111,11 @@ class _Whole:
 
 
 def _whole(
-    posed: ExperimentData[RecordedSource], estimate: Estimate, distance: str | None
+    prepared: ExperimentData[RecordedSource], estimate: Estimate, distance: str | None
 ) -> _Whole:
     """The estimate with whole, feasible bodies: its own, those nearest to the prior, or a feasible
     fit that had to take its place."""
-    problem, prior, theta = posed.problem, posed.source.prior, estimate.theta
+    problem, prior, theta = prepared.problem, prepared.source.prior, estimate.theta
     feasible = feasible_set_of(problem)
     if distance is None and theta is not None:
         exists = feasible_figures(theta, problem).get("feasible", True)
@@ -214,15 +214,15 @@ def _in_file(robot: RobotModel, terms: Mapping[str, JointTerms]) -> dict[str, di
 
 
 def _judged(
-    posed: ExperimentData[RecordedSource],
+    prepared: ExperimentData[RecordedSource],
     estimated: Array,
     file: Path,
     chosen: _Whole,
     left_out: list[str],
 ) -> WrittenModel:
     """Read the files again: parameters, cross-check, and errors on the recordings."""
-    written, problem = find_manifest(str(file)), posed.problem
-    locked = posed.source.training[0].robot.manifest.locked
+    written, problem = find_manifest(str(file)), prepared.problem
+    locked = prepared.source.training[0].robot.manifest.locked
     robot = load_robot(replace(written, locked=locked))
     check = crosscheck(load_robot(written))
     if not check.ok():
@@ -232,7 +232,7 @@ def _judged(
     terms = tuple(x for x in problem.parameters if x not in values and _is_term(robot, x))
     values |= dict(zip(terms, robot.term_values(terms), strict=True))
     beta = problem.base.K @ np.array([values.get(name, 0.0) for name in problem.parameters])
-    tests, names = list(posed.held_out.values()), robot.body_names
+    tests, names = list(prepared.held_out.values()), robot.body_names
     error, own = (RowErrors(tests or [problem], x).torque_error for x in (beta, estimated))
 
     def relative(judged: Problem) -> dict[str, float | None]:
@@ -250,7 +250,7 @@ def _judged(
         gap=check.gap,
         closure=check.closure,
         torque_error=error if tests else None,
-        tests={label: relative(test) for label, test in posed.held_out.items()},
+        tests={label: relative(test) for label, test in prepared.held_out.items()},
         training=relative(problem),
     )
 

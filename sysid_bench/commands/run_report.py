@@ -9,12 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.commands.claims import claims_of
-from sysid_bench.commands.paper import (
-    paper_tables,
-    text_of,
-    torque_samples,
-    write_paper_figures,
-)
+from sysid_bench.commands.paper import paper_tables, text_of, torque_samples, write_paper_figures
 from sysid_bench.commands.record import recording_notes
 from sysid_bench.commands.report import FORMATS
 from sysid_bench.commands.run_folder import (
@@ -27,6 +22,7 @@ from sysid_bench.commands.run_folder import (
     write_whole,
 )
 from sysid_bench.errors import UsageError, reason_of, unknown_name
+from sysid_bench.evaluation.intervals import at_level
 from sysid_bench.evaluation.repeat_statistic import PARAMETER_COLUMNS, SETTING
 from sysid_bench.harness.frames import Frames
 from sysid_bench.harness.stored_run import RunFolder
@@ -66,40 +62,43 @@ _FRAMES: Final = {JOINT: "by_joint", STD_FROM: "by_std_from", PARAMETER: "by_par
 def write_report_of(folder: str | Path) -> Path:
     """Write tables/, figures/ and report.html of a run; return the path of the page."""
     run, frames = _opened(folder)
-    tables, ranked = tuple(_tables(run, frames)), _rankings(run, frames)
-    tested = claims_of(run)
-    listings = (*paper_tables(run), *([tested.listing] if tested else []))
-    note = stale_sentence(run)
-    origin = replace(run_origin(run, len(frames.cells)), note=note)
-    figures = run.path / "figures"
-    for place in (run.path / "tables", figures):
-        place.mkdir(exist_ok=True)
-    _write_tables(run, frames, tables, ranked, listings, origin)
-    for suffix in ("pdf", "svg"):
-        for made in filter(lambda one: one.has_figure, tables):
-            figure(made, figures / f"{made.name}.{suffix}")
-        for ranking in ranked:
-            profile(ranking, figures / f"{ranking.name}.{suffix}")
-    drawn = write_paper_figures(run, figures)
-    recordings = sorted((run.path / "artifacts").glob("*/*.rrd"))
-    return write_report(
-        RunView(
-            folder=run.path,
-            suite=parse_toml(read_text(run.path / "run.toml")),
-            env=run.environment,
-            cells=frames.cells,
-            joints=frames.read("joints", {*JOINT_COLUMNS, *JOINT_SCORES}),
-            tables=tables,
-            rankings=ranked,
-            metrics=run.suite.metrics,
-            recordings={file.parent.name: str(file.relative_to(run.path)) for file in recordings},
-            command=origin.command,
-            listings=listings,
-            notes=(*filter(None, [note]), *recording_notes(run)),
-            torques=torque_samples(run),
-            pictures=tuple((title, svg_element(path.read_bytes())) for title, path in drawn),
+    with at_level(run.suite.confidence):
+        tables, ranked = tuple(_tables(run, frames)), _rankings(run, frames)
+        tested = claims_of(run)
+        listings = (*paper_tables(run), *([tested.listing] if tested else []))
+        note = stale_sentence(run)
+        origin = replace(run_origin(run, len(frames.cells)), note=note)
+        figures = run.path / "figures"
+        for place in (run.path / "tables", figures):
+            place.mkdir(exist_ok=True)
+        _write_tables(run, frames, tables, ranked, listings, origin)
+        for suffix in ("pdf", "svg"):
+            for made in filter(lambda one: one.has_figure, tables):
+                figure.write(figures / f"{made.name}.{suffix}", made)
+            for ranking in ranked:
+                profile.write(figures / f"{ranking.name}.{suffix}", ranking)
+        drawn = write_paper_figures(run, figures)
+        recordings = sorted((run.path / "artifacts").glob("*/*.rrd"))
+        return write_report(
+            RunView(
+                folder=run.path,
+                suite=parse_toml(read_text(run.path / "run.toml")),
+                env=run.environment,
+                cells=frames.cells,
+                joints=frames.read("joints", {*JOINT_COLUMNS, *JOINT_SCORES}),
+                tables=tables,
+                rankings=ranked,
+                metrics=run.suite.metrics,
+                recordings={
+                    file.parent.name: str(file.relative_to(run.path)) for file in recordings
+                },
+                command=origin.command,
+                listings=listings,
+                notes=(*filter(None, [note]), *recording_notes(run)),
+                torques=torque_samples(run),
+                pictures=tuple((title, svg_element(path.read_bytes())) for title, path in drawn),
+            )
         )
-    )
 
 
 def table_text(folder: str | Path, name: str, form: str) -> str:
@@ -107,26 +106,29 @@ def table_text(folder: str | Path, name: str, form: str) -> str:
     if form not in FORMATS:
         raise unknown_name("format", form, FORMATS)
     run, frames = _opened(folder)
-    origin = run_origin(run, len(frames.cells))
-    if form == "latex":
-        origin = replace(origin, note=stale_sentence(run))
-    tables = _by_name(_tables(run, frames, name))
-    if name not in tables and name in [entry.name for entry in run.suite.paper]:
-        for listing in paper_tables(run, name):
-            return text_of(listing, form, origin)
-        raise UsageError(f"{name!r} has no ok cell yet, or is a figure: see figures/.")
-    if name not in tables:
-        # Rankings resample thousands of times: made only where one is named.
-        tables = _by_name(chain.from_iterable(map(ranking_tables, _rankings(run, frames))))
-    if name not in tables:
-        raise unknown_name("table", name, tables | _by_name(_tables(run, frames)))
-    return _text(tables[name], form, origin)
+    with at_level(run.suite.confidence):
+        origin = run_origin(run, len(frames.cells))
+        if form == "latex":
+            origin = replace(origin, note=stale_sentence(run))
+        tables = _by_name(_tables(run, frames, name))
+        if name not in tables and name in [entry.name for entry in run.suite.paper]:
+            for listing in paper_tables(run, name):
+                return text_of(listing, form, origin)
+            raise UsageError(f"{name!r} has no ok cell yet, or is a figure: see figures/.")
+        if name not in tables:
+            # Rankings resample thousands of times: made only where one is named.
+            tables = _by_name(chain.from_iterable(map(ranking_tables, _rankings(run, frames))))
+        if name not in tables:
+            raise unknown_name("table", name, tables | _by_name(_tables(run, frames)))
+        return _text(tables[name], form, origin)
 
 
 def table_of(folder: str | Path, name: str) -> Table | None:
     """Return one table of a run, None where none has the name; raise UsageError for a folder
     without rows."""
-    return _by_name(_tables(*_opened(folder), name)).get(name)
+    run, frames = _opened(folder)
+    with at_level(run.suite.confidence):
+        return _by_name(_tables(run, frames, name)).get(name)
 
 
 def result_of(
@@ -135,17 +137,19 @@ def result_of(
     """Return a run, its data, its tables with a figure and its rankings; raise UsageError for a
     folder without rows."""
     run, frames = _opened(folder)
-    names = [spec["name"] for spec in _specs(run) if not spec.get("metrics")]
-    made = (one for name in names for one in _tables(run, frames, name))
-    return run, frames, tuple(one for one in made if one.has_figure), _rankings(run, frames)
+    with at_level(run.suite.confidence):
+        names = [spec["name"] for spec in _specs(run) if not spec.get("metrics")]
+        made = (one for name in names for one in _tables(run, frames, name))
+        return run, frames, tuple(one for one in made if one.has_figure), _rankings(run, frames)
 
 
 def summary_tables(folder: str | Path) -> list[str]:
     """Return every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
     frames = run.frames()
-    orders = map(verdict_table, _rankings(run, frames))
-    return [to_markdown(made) for made in (*_tables(run, frames), *orders)]
+    with at_level(run.suite.confidence):
+        orders = map(verdict_table, _rankings(run, frames))
+        return [to_markdown(made) for made in (*_tables(run, frames), *orders)]
 
 
 def _opened(folder: str | Path) -> tuple[RunFolder, Frames]:

@@ -15,10 +15,11 @@ from sysid_bench.diagnosis.hypothesis import (
     joint_factors,
     setting_edit,
 )
+from sysid_bench.evaluation.intervals import coverage_factor, level_text
 from sysid_bench.models.model_checks import length
 
 NORMAL: Final = 1.96
-"""97.5 % quantile of the normal distribution."""
+"""97.5 % quantile of the normal distribution, of a decision."""
 
 EXCHANGED: Final = 0.5
 """Cost below which three or more columns cannot be exchanged."""
@@ -148,13 +149,14 @@ def tool_load(before: Hypothesis) -> Iterator[Candidate]:
     is_near = np.linalg.norm(phi[1:4]) <= farthest * mass and turning <= farthest**2 * mass
     if explains < LEAST or not (mass > 0 and is_near):
         return
-    half = NORMAL * loaded.model.deviation(loaded.mixing, len(loaded.fit.links) - 10)
+    deviation = loaded.model.deviation(loaded.mixing, len(loaded.fit.links) - 10)
+    half = round(coverage_factor(np.inf), 2) * deviation
     body = e.robot.body_names[e.robot.tool_body]
     yield Candidate(
         "load", tuple(range(e.count)), loaded,
         f"a load at {body} that the model lacks explains the torque: {mass:.3g} kg "
-        f"(95 % in [{max(mass - half, 0.0):.3g}, {mass + half:.3g}], as far as the masses of the "
-        "links are known)",
+        f"({level_text()} in [{max(mass - half, 0.0):.3g}, {mass + half:.3g}], as far as the "
+        "masses of the links are known)",
         f"payload = {{ mass = {mass:.3g} }}, with its com and inertia, if that was mounted; "
         "identify finds it with the task payload",
         "a last link much heavier than in the model file looks alike", most=WARNING,

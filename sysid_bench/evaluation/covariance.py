@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.intervals import LEVEL, StandardError, coverage_factor, jackknife
+from sysid_bench.evaluation.intervals import StandardError, coverage_factor, jackknife
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.cross_validation import time_blocks
@@ -49,21 +49,16 @@ class MotionFit:
     errors: Array
 
     @property
-    def _freedom(self) -> int:
-        """Degrees of freedom of the spread between motions."""
-        return len(self.betas) - 1
-
-    @property
     def standard_error(self) -> StandardError:
         """Jackknife covariance (M - 1) / M sum_m (beta_m - beta)(beta_m - beta)'."""
         return jackknife(self.betas, self.beta)
 
-    def torque_margins(self, level: float = LEVEL) -> Array:
+    def torque_margins(self) -> Array:
         """Return half of the length (rows,) of the prediction interval for the torque of another
         motion: Student's quantile times the RMS error on motions left out, which holds noise,
         misfit and the uncertainty of the parameters."""
         rms = np.sqrt((self.errors**2).mean(axis=0))
-        return np.asarray(coverage_factor(level, self._freedom) * rms)
+        return np.asarray(coverage_factor(len(self.betas) - 1) * rms)
 
 
 def motion_fit(problem: Problem, estimate: Estimate) -> MotionFit | str:
@@ -191,28 +186,17 @@ def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardE
     if isinstance(fits, MotionFit):
         found["motions"] = fits.standard_error
     if estimate.beta is not None and estimate.sigma is not None:
-        found |= _robust(problem, residual_score(problem, estimate.beta, estimate.sigma))
+        scores = residual_score(problem, estimate.beta, estimate.sigma)
+        motions = problem.motions or (problem,)
+        counts = [one.samples // one.period if one.period else 0 for one in motions]
+        # Enough periods, and two or more of each motion.
+        if sum(counts) >= ENOUGH_PERIODS and min(counts) >= LEAST_PERIODS:
+            parts = [(one.samples, one.period) for one in problem.motions]
+            found["periods"] = scores.period_covariance(problem.period, parts)
+        found["residuals"] = scores.residual_covariance(scores.bandwidth)
     if estimate.covariance is not None:
         found["textbook"] = StandardError(estimate.covariance)
     return found
-
-
-def _robust(problem: Problem, scores: ResidualScore) -> dict[str, StandardError]:
-    """The covariances that hold under coloured noise, that over periods first."""
-    found = {}
-    if _has_periods(problem):
-        motions = [(motion.samples, motion.period) for motion in problem.motions]
-        found["periods"] = scores.period_covariance(problem.period, motions)
-    return found | {"residuals": scores.residual_covariance(scores.bandwidth)}
-
-
-def _has_periods(problem: Problem) -> bool:
-    """True where there are enough periods, and two or more of each motion."""
-    motions = problem.motions or (problem,)
-    if any(one.period == 0 for one in motions):
-        return False
-    counts = [one.samples // one.period for one in motions]
-    return sum(counts) >= ENOUGH_PERIODS and min(counts) >= LEAST_PERIODS
 
 
 BLOCKS: Final = 8

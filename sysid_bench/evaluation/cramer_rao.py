@@ -90,15 +90,8 @@ def encoder_bound(
             dv / (2 * step) + da / step**2,
         )
     )
-    W, C = rows[1:-1], _banded_covariance(before, now, after, np.diag(tau_std**2))
-    L = scipy.linalg.cholesky_banded(C, lower=True)
-    flat = W.reshape(-1, W.shape[2])
-    white, _ = scipy.linalg.lapack.dtbtrs(L, flat, uplo="L")
-    return _inverse(qr_factor([white]))
-
-
-def _banded_covariance(before: Array, now: Array, after: Array, noise: Array) -> Array:
-    """The lower bands (3 rows, N rows) of S_tau + J S_q J', from the blocks (N, rows, n) of J."""
+    # The lower bands (3 rows, N rows) of S_tau + J S_q J', from the blocks (N, rows, n) of J
+    noise = np.diag(tau_std**2)
     N, m = now.shape[:2]
     turned = [np.swapaxes(block, 1, 2) for block in (before, now, after)]
     own = noise + before @ turned[0] + now @ turned[1] + after @ turned[2]
@@ -111,4 +104,8 @@ def _banded_covariance(before: Array, now: Array, after: Array, noise: Array) ->
     bands = np.zeros((3 * m, N * m))
     for i in range(m):
         bands[: 3 * m - i, i::m] = columns[:, i:, i].T
-    return bands
+    W, C = rows[1:-1], bands
+    L = scipy.linalg.cholesky_banded(C, lower=True)
+    flat = W.reshape(-1, W.shape[2])
+    white, _ = scipy.linalg.lapack.dtbtrs(L, flat, uplo="L")
+    return _inverse(qr_factor([white]))

@@ -34,19 +34,15 @@ class TrueValues:
 
 def true_values(problem: Problem, true: Array, pseudo_true: Array | None, how: str) -> TrueValues:
     """Return the targets (r,): true values, those of friction from `pseudo_true` unless None."""
-    classes = _parameter_classes(problem)
-    if pseudo_true is None:
-        return TrueValues(true, classes, "true")
-    return TrueValues(np.where(classes == FRICTION, pseudo_true, true), classes, how)
-
-
-def _parameter_classes(problem: Problem) -> Array:
-    """Return the class (r,) of each base parameter: inertias of links and rotors are inertial, all
-    other terms of joints are friction."""
+    # The class (r,) of each base parameter: inertias of links and rotors are inertial, all other
+    # terms of joints are friction
     bodies = {column for body in problem.bodies for column in body.columns}
     rotor = f".{SUFFIX['armature']}"
     names = [problem.parameters[pivot] for pivot in problem.base.pivots]
-    return np.array([INERTIAL if n in bodies or n.endswith(rotor) else FRICTION for n in names])
+    classes = np.array([INERTIAL if n in bodies or n.endswith(rotor) else FRICTION for n in names])
+    if pseudo_true is None:
+        return TrueValues(true, classes, "true")
+    return TrueValues(np.where(classes == FRICTION, pseudo_true, true), classes, how)
 
 
 def interval_fields(

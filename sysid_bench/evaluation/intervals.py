@@ -6,37 +6,74 @@ method                 from                        used by
 Student's t            a covariance and its        parameters of an estimate (`StandardError`),
                        degrees of freedom          torques of a further motion
 Student's t of a new   mean and scatter of n       one of n values against the others
-value                  values                      (`left_out_held`)
-percentile bootstrap   robots drawn again          rankings, claims, ratios of two runs (`ROBOTS`)
+value                  values                      (`left_out_held`), actuators of a new file
+jackknife              parts left out, each once   motions, blocks of time, masses of payloads
+chi-squared            loss over its smallest      delay of commands
+percentile bootstrap   robots drawn again          rankings, claims, ratios of two runs (`ROBOTS`),
+                                                   twins and transfer (`ROBOT_TYPES`)
 percentile bootstrap   repeats drawn again         bias, spread, efficiency (`REPEATS`), statistics
                                                    of the entries of a table (`TABLE_REPEATS`)
 Clopper and Pearson    hits of n                   shares: claims, worst coverage
 =====================  ==========================  ================================================
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
 from typing import Final
 
 import numpy as np
 
+from sysid_bench.errors import UsageError
 from sysid_bench.types import Array
 
 LEVEL: Final = 0.95
-"""Confidence level of all intervals."""
+"""Confidence level of intervals where neither a suite nor the command line states another."""
 
-LEVEL_TEXT: Final = f"{100 * LEVEL:g} %"
+_stated: ContextVar[float | None] = ContextVar("level", default=None)
 
 
-def tails(level: float = LEVEL) -> tuple[float, float]:
-    """Return the probabilities below the low and below the high end of a two-sided interval."""
+def confidence_level() -> float:
+    """Return the level of all intervals: that of `at_level`, else LEVEL."""
+    return _stated.get() or LEVEL
+
+
+@contextmanager
+def at_level(level: float | None) -> Iterator[None]:
+    """Make all intervals at a level, unless an outer one is stated already, as by --confidence;
+    None: as without it. Raises UsageError for a level that is not between 0 and 1."""
+    if level is not None and not 0.0 < level < 1.0:
+        raise UsageError(f"A confidence level lies between 0 and 1, as 0.95; got {level:g}.")
+    token = _stated.set(_stated.get() or level)
+    try:
+        yield
+    finally:
+        _stated.reset(token)
+
+
+def level_text() -> str:
+    """Return the level as titles print it: "95 %"."""
+    return f"{100 * confidence_level():.10g} %"
+
+
+def with_level(text: str) -> str:
+    """Return a text that names the usual level with the present one."""
+    return text.replace(f"{100 * LEVEL:g} %", level_text())
+
+
+def tails(level: float | None = None) -> tuple[float, float]:
+    """Return the probabilities below the low and below the high end of a two-sided interval, of the
+    present level unless one is given."""
+    level = confidence_level() if level is None else level
     # 0.5 - 0.5 * 0.95 is 0.025 + 2e-17: rounded, all methods have the same two probabilities.
     return round(0.5 - 0.5 * level, 12), round(0.5 + 0.5 * level, 12)
 
 
-def coverage_factor(level: float, freedom: float) -> float:
+def coverage_factor(freedom: float, level: float | None = None) -> float:
     """Return the two-sided quantile of Student's distribution: half of the length of an interval of
-    a confidence level, in standard deviations."""
+    a confidence level, in standard deviations. Infinite `freedom`: of the normal distribution."""
     from scipy.special import stdtrit  # loads longer than a table takes
 
     # stdtrit is not defined for infinity; at 1e9 Student's distribution is the normal one.
@@ -55,11 +92,11 @@ class StandardError:
         """Standard deviations (r,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def margins(self, level: float = LEVEL) -> Array:
+    def margins(self, level: float | None = None) -> Array:
         """Return half of the length (r,) of the confidence interval."""
-        return coverage_factor(level, self.freedom) * self.std
+        return coverage_factor(self.freedom, level) * self.std
 
-    def interval(self, beta: Array, level: float = LEVEL) -> tuple[Array, Array]:
+    def interval(self, beta: Array, level: float | None = None) -> tuple[Array, Array]:
         """Return the confidence interval (low, high), (r,) each, by Student's distribution."""
         half_width = self.margins(level)
         return beta - half_width, beta + half_width
@@ -73,6 +110,21 @@ def jackknife(values: Array, centre: Array) -> StandardError:
     return StandardError(moved.T @ moved, len(values) - 1)
 
 
+def jackknife_std(values: Array) -> tuple[Array, int]:
+    """Return the jackknife deviations (k,) of n estimates (n, k) about their mean, with one of n
+    parts left out each, and their degrees of freedom."""
+    n = len(values)
+    spread = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+    return np.sqrt((n - 1) / n * spread), n - 1
+
+
+def likelihood_drop() -> float:
+    """Return twice the loss of log-likelihood at the ends of the interval of one parameter: the
+    quantile of chi-squared with one degree of freedom, 3.84 at 95 %."""
+    # To two decimals, as kept rows were made with.
+    return round(coverage_factor(np.inf) ** 2, 2)
+
+
 def held(error: StandardError, beta: Array, targets: Array) -> Array:
     """Return the mask (r,) of the intervals that hold their target."""
     low, high = error.interval(beta)
@@ -84,20 +136,20 @@ def interval_score(error: StandardError, beta: Array, targets: Array) -> Array:
     the interval (Gneiting and Raftery 2007, equation 43); lower is better."""
     low, high = error.interval(beta)
     outside = np.maximum(low - targets, 0.0) + np.maximum(targets - high, 0.0)
-    return np.asarray(high - low + 2.0 / (1.0 - LEVEL) * outside)
+    return np.asarray(high - low + 2.0 / (1.0 - confidence_level()) * outside)
 
 
-def new_value_interval(values: Array, level: float = LEVEL) -> tuple[Array, Array]:
+def new_value_interval(values: Array, level: float | None = None) -> tuple[Array, Array]:
     """Return the ends (...) of the range that holds a further value with a probability `level`,
     from n values (n, ...): mean +- t s sqrt(1 + 1 / n), Student's t of n - 1 degrees of freedom."""
     n, mean = len(values), values.mean(axis=0)
-    reach = coverage_factor(level, n - 1) * np.sqrt(1.0 + 1.0 / n) * values.std(axis=0, ddof=1)
+    reach = coverage_factor(n - 1, level) * np.sqrt(1.0 + 1.0 / n) * values.std(axis=0, ddof=1)
     return mean - reach, mean + reach
 
 
-def left_out_held(values: Array, share: float) -> Array:
-    """Test (n, p) whether each of n values of p parameters lies in the range of the n - 1 others
-    that holds a new one with a probability `share`. NaN for fewer than three."""
+def left_out_held(values: Array, share: float | None = None) -> Array:
+    """Test (n, ...) whether each of n values lies in the range of the n - 1 others that holds a new
+    one with a probability `share` (None: the level). NaN for fewer than three."""
     if len(values) < 3:
         return np.full(values.shape, np.nan)
     inside = np.empty(values.shape)
@@ -108,8 +160,8 @@ def left_out_held(values: Array, share: float) -> Array:
 
 
 def share_interval(hits: float, count: int) -> tuple[float, float]:
-    """Return the interval of a share, `hits` of `count`, that holds it in at least 95 % (Clopper
-    and Pearson 1934).
+    """Return the interval of a share, `hits` of `count`, that holds it at least at the level
+    (Clopper and Pearson 1934).
 
     It inverts the exact binomial test, which is conservative since counts are whole numbers. A sum
     of shares may take the place of whole hits, and makes it more so: the variance of each is at
@@ -160,21 +212,24 @@ ROBOTS: Final = Bootstrap("robots", draws=10_000, seed=0, fewest=6)
 # With fewer than 20 repeats the standard deviation itself is uncertain by more than 20 %.
 REPEATS: Final = Bootstrap("repeats", draws=2000, seed=0, fewest=20)
 
+# Robots of one type count as one unit: their errors are alike.
+ROBOT_TYPES: Final = Bootstrap("types of robot", draws=2000, seed=0, fewest=5)
+
 # Whole repeats: the cells of one repeat share their noise.
 TABLE_REPEATS: Final = Bootstrap("repeats", draws=2000, seed=20240229, fewest=2)
 
 
-def percentile_interval(drawn: Array, level: float = LEVEL) -> tuple[Array, Array]:
+def percentile_interval(drawn: Array) -> tuple[Array, Array]:
     """Return the ends (...) of the percentile interval of a statistic (draws, ...) of bootstrap
     draws."""
-    low, high = np.quantile(drawn, tails(level), axis=0)
+    low, high = np.quantile(drawn, tails(), axis=0)
     return low, high
 
 
-def median_interval(values: Array, level: float = LEVEL) -> tuple[float, float] | None:
+def median_interval(values: Array) -> tuple[float, float] | None:
     """Return the bootstrap interval of the median of values (robots,); None for too few robots."""
     if len(values) < ROBOTS.fewest:
         return None
     medians = np.median(values[ROBOTS.indices(len(values))], axis=1)
-    low, high = percentile_interval(medians, level)
+    low, high = percentile_interval(medians)
     return float(low), float(high)

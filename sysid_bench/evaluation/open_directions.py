@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.identification.linear.least_squares import EXCITED, stacked_factor
-from sysid_bench.types import Array, Problem
+from sysid_bench.types import Problem
 
 NAMED: Final = 3
 """Base parameters that are named, those with the largest share in open directions."""
@@ -36,13 +36,10 @@ def open_directions(problem: Problem) -> OpenDirections:
     if not norms.any():
         return OpenDirections(r, r, tuple(problem.base.names[:NAMED]))
     _, s, Vt = np.linalg.svd(R / np.where(norms > 0, norms, 1.0))
-    is_open = s <= max(EXCITED, _noise_share(problem, b)) * s[0]
+    # |e| / (sqrt(N) |b|) of the fit: the last entry of Q'b is the norm of the residual.
+    torque, count = np.linalg.norm(b), max(problem.samples * len(problem.rows), 1)
+    noise = float(abs(b[-1]) / torque / np.sqrt(count)) if torque > 0 else 0.0
+    is_open = s <= max(EXCITED, noise) * s[0]
     shares = (Vt[is_open] ** 2).sum(axis=0)
     order = np.argsort(-shares, kind="stable")[: min(NAMED, int(is_open.sum()))]
     return OpenDirections(int(is_open.sum()), r, tuple(problem.base.names[i] for i in order))
-
-
-def _noise_share(problem: Problem, b: Array) -> float:
-    """|e| / (sqrt(N) |b|) of the least-squares fit; `b` (r + 1,): last column of its R factor."""
-    torque, count = np.linalg.norm(b), max(problem.samples * len(problem.rows), 1)
-    return float(abs(b[-1]) / torque / np.sqrt(count)) if torque > 0 else 0.0

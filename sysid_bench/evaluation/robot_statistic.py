@@ -14,7 +14,6 @@ from typing import Final, Literal
 import numpy as np
 
 from sysid_bench.evaluation.intervals import (
-    LEVEL,
     ROBOTS,
     median_interval,
     percentile_interval,
@@ -120,7 +119,7 @@ def ratio_profile(ratios: Array, limits: Array) -> Array:
     return np.asarray(within.sum(axis=1) / max(len(ratios), 1))
 
 
-def rank_interval(logs: Array, level: float = LEVEL) -> tuple[Array, Array, Array]:
+def rank_interval(logs: Array) -> tuple[Array, Array, Array]:
     """Return ranks (methods,), 1 for the smallest median of logs (robots, methods), and the ends of
     their interval from robots drawn again; NaN for too few robots. NaN in `logs` is a
     robot without a row of the method."""
@@ -128,18 +127,14 @@ def rank_interval(logs: Array, level: float = LEVEL) -> tuple[Array, Array, Arra
     if len(logs) < ROBOTS.fewest:
         return rank, np.full(len(rank), np.nan), np.full(len(rank), np.nan)
     draws = ROBOTS.indices(len(logs))
-    # A draw without any robot of a method keeps no median of it: last in that draw.
-    medians = [_medians(column[draws]) for column in logs.T]
+    medians = []
+    for values in (column[draws] for column in logs.T):
+        missing = np.isnan(values).all(axis=1, keepdims=True)
+        # A draw without any robot of a method keeps no median of it: last in that draw.
+        median = np.nanmedian if np.isnan(values).any() else np.median
+        medians.append(median(np.where(missing, np.inf, values), axis=1))
     drawn = _ranks(np.column_stack(medians))
-    return rank, *percentile_interval(drawn, level)
-
-
-def _medians(values: Array) -> Array:
-    """Medians (draws,) of values (draws, robots) without NaN; inf where all are NaN."""
-    if not np.isnan(values).any():
-        return np.asarray(np.median(values, axis=1))
-    missing = np.isnan(values).all(axis=1, keepdims=True)
-    return np.asarray(np.nanmedian(np.where(missing, np.inf, values), axis=1))
+    return rank, *percentile_interval(drawn)
 
 
 def _ranks(medians: Array) -> Array:

@@ -5,7 +5,7 @@ Feasible is not plausible: some masses hardly affect the torques, and a feasible
 a mass of a tonne. Density and centre of mass are therefore compared with the geometry of each body.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -175,16 +175,13 @@ def _sample_error(problems: list[Problem], beta: Array) -> float | None:
     # A norm over rows in N and in N m would depend on the unit of length.
     if set(problems[0].kinds) != {"joint N m"}:
         return None
-    relative = np.concatenate([r for problem in problems for r in _sample_ratios(problem, beta)])
-    return float(relative.mean()) if len(relative) else None
-
-
-def _sample_ratios(problem: Problem, beta: Array) -> Iterator[Array]:
-    """|error| / |torque| (n,) of the samples of each block that have a torque."""
-    for Y, b in problem.blocks():
+    ratios = []
+    for Y, b in (block for problem in problems for block in problem.blocks()):
         size = np.linalg.norm(b, axis=1)
         nonzero = size > 0
-        yield np.linalg.norm(b - Y @ beta, axis=1)[nonzero] / size[nonzero]
+        ratios.append(np.linalg.norm(b - Y @ beta, axis=1)[nonzero] / size[nonzero])
+    relative = np.concatenate(ratios)
+    return float(relative.mean()) if len(relative) else None
 
 
 def _relative(difference: Array, reference: Array) -> float | None:
@@ -297,19 +294,14 @@ def score_recorded(
     beta = base_parameters(estimate)
     if beta is None:
         return Score(**about_data)
+    train = RowErrors([problem], beta)
     return Score(
         **about_data,
         **feasible_figures(estimate.theta, problem),
-        rmse_train=RowErrors([problem], beta).rms_error,
+        rmse_train=train.rms_error,
         **torque_figures(tests, moving or {}, beta),
-        joints=tuple(_joints(problem, tests, beta)),
+        joints=tuple(
+            {**joint, "relative_train": train.relative_of(i)}
+            for i, joint in enumerate(joint_figures(problem, tests, beta))
+        ),
     )
-
-
-def _joints(
-    problem: Problem, tests: Mapping[str, Problem], beta: Array
-) -> Iterator[dict[str, Any]]:
-    """Errors of each joint, relative ones in training too."""
-    train = RowErrors([problem], beta)
-    for i, joint in enumerate(joint_figures(problem, tests, beta)):
-        yield {**joint, "relative_train": train.relative_of(i)}

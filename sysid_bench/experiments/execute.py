@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import LONGEST_TEXT, SysidBenchError, UsageError, reason_of, status_of
+from sysid_bench.evaluation.intervals import at_level
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd, MemoryUse, usage_fields
@@ -56,15 +57,16 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     data depend on it as a whole, otherwise the cells of third-party estimators and metrics, one by
     one. Built-in methods see the same process whoever else is in the suite.
     """
-    if not argument["third_party"]["data"]:
-        _execute(argument, channel)
-        return
-    read_package_files()
-    open_cells = (entry for entry in argument["estimators"] if entry["cell"] in channel.cells)
-    heads = {entry["cell"]: _header(argument, entry) for entry in open_cells}
-    death = channel.run_process(partial(_execute, argument), heads)
-    if death is not None:
-        raise JobEnd(death)
+    with at_level(argument["experiment"].get("confidence")):
+        if not argument["third_party"]["data"]:
+            _execute(argument, channel)
+            return
+        read_package_files()
+        open_cells = (entry for entry in argument["estimators"] if entry["cell"] in channel.cells)
+        heads = {entry["cell"]: _header(argument, entry) for entry in open_cells}
+        death = channel.run_process(partial(_execute, argument), heads)
+        if death is not None:
+            raise JobEnd(death)
 
 
 def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:

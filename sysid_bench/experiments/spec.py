@@ -49,6 +49,7 @@ class ExperimentSpec:
     motions: int = 1  # different training motions, recorded one after the other
     redrawn: tuple[str, ...] = ()  # what each repeat draws anew: "motions", "plant"
     candidate: Mapping[str, Any] | None = None  # {step (s), integrator, friction}; None: defaults
+    confidence: float | None = None  # level of intervals; None: 0.95
     content: str | None = None  # hash of the robot's files, of which seeds are made; None: `robot`
 
     @cached_property
@@ -73,7 +74,7 @@ class ExperimentSpec:
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
         data = {field.name: getattr(self, field.name) for field in fields(self)}
-        for key in ("free_base", "sensor", "log", "pipeline", "candidate", "content"):
+        for key in ("free_base", "sensor", "log", "pipeline", "candidate", "confidence", "content"):
             if data[key] is None:  # ids are older than these fields
                 del data[key]
         if not data["redrawn"]:

@@ -440,15 +440,6 @@ class RowCounts:
         kinds = (RowKind.of(rows[cell], place) for cell, place in places.items() if cell in rows)
         return cls(len(places), Counter(kinds))
 
-    def to_json(self) -> dict[str, Any]:
-        """Counts as JSON has them."""
-        return {"cells": self.cells, "rows": [[*kind, count] for kind, count in self.rows.items()]}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> "RowCounts":
-        """Read counts. Raises KeyError, TypeError or ValueError for other data."""
-        return cls(data["cells"], {RowKind(*kind): count for *kind, count in data["rows"]})
-
 
 @dataclass(frozen=True)
 class CoveragePart:
@@ -493,7 +484,10 @@ class Coverage:
 
     def to_json(self) -> str:
         """Text of consolidated.json, with a line for each entry of a long list."""
-        counts = self.counts and self.counts.to_json()
+        counts = None
+        if self.counts is not None:
+            rows = [[*kind, count] for kind, count in self.counts.rows.items()]
+            counts = {"cells": self.counts.cells, "rows": rows}
         texts = []
         for key, value in {**asdict(replace(self, counts=None)), "counts": counts}.items():
             written = json.dumps(value)
@@ -515,8 +509,11 @@ def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
             return None
         files = {name: CoveragePart(**file) for name, file in data.pop("files").items()}
         counts = data.pop("counts")
+        if counts is not None:
+            kinds = {RowKind(*kind): count for *kind, count in counts["rows"]}
+            counts = RowCounts(counts["cells"], kinds)
         data |= {key: tuple(data[key]) for key in ("garbled", "kinds")}
-        coverage = Coverage(**data, files=files, counts=counts and RowCounts.from_json(counts))
+        coverage = Coverage(**data, files=files, counts=counts)
         is_true = coverage.format == _FORMAT and coverage.plan == file_hash(folder / "plan.jsonl")
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None

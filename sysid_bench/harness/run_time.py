@@ -1,5 +1,5 @@
 """CPU seconds that some cells are expected to take: from rows of earlier runs on this machine, else
-from the table of cell_cost.py."""
+from the table of cell.py."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence

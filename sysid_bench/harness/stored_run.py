@@ -115,7 +115,17 @@ class RunFolder:
         with folder.lock():
             hashed = True
             if is_file(path / PLAN):
-                folder._check_same(suite, plan)
+                stored = {cell.id for cell in folder.plan.cells}
+                planned = {cell.id for cell in plan.cells}
+                if stored != planned:
+                    keys = _different_keys(folder.suite.model_dump(), suite.model_dump())
+                    raise UsageError(
+                        f"{str(path)!r} holds another run: {len(stored - planned)} of its cells "
+                        f"are not in this plan, and {len(planned - stored)} of this plan are not "
+                        f"in it (different keys: "
+                        f"{', '.join(keys) or 'the models behind the names'}). Choose another -o, "
+                        "or remove the folder."
+                    )
                 hashed = cls(path).has_hashes  # its rows may be of an earlier version
             folder._fill(with_rows(suite, hashed=hashed), plan.to_json_lines(), env)
         vars(folder)["plan"] = Plan(plan.cells)  # as its file has it, which need not be read
@@ -359,19 +369,6 @@ class RunFolder:
         return UsageError(
             f"{str(self.path / name)!r} cannot be read ({reason}); a run needs it. Run the suite "
             "again with another -o."
-        )
-
-    def _check_same(self, suite: Suite, plan: Plan) -> None:
-        stored = {cell.id for cell in self.plan.cells}
-        planned = {cell.id for cell in plan.cells}
-        if stored == planned:
-            return
-        keys = _different_keys(self.suite.model_dump(), suite.model_dump())
-        raise UsageError(
-            f"{str(self.path)!r} holds another run: {len(stored - planned)} of its cells are not "
-            f"in this plan, and {len(planned - stored)} of this plan are not in it "
-            f"(different keys: {', '.join(keys) or 'the models behind the names'}). Choose another "
-            "-o, or remove the folder."
         )
 
 

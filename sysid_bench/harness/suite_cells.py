@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError
+from sysid_bench.evaluation.intervals import LEVEL
 from sysid_bench.experiments.simulated.composed_plant import (
     COMPOSED,
     composed_plant,
@@ -257,6 +258,7 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
     for log in suite.log:
         for spec in _specs_of_log(log):
             robot = names.robot(spec.robot, suite.folder).name
+            spec = replace(spec, confidence=_level(suite))
             add(spec, _log_labels(log, spec, robot), {})
     by_value = (
         "payload", "task", "plant", "prior", "excitation", "held_out", "simulation", "noise",
@@ -300,10 +302,7 @@ def _specs_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
         signals = {"filter": filter, "derivatives": entry.derivatives}
         signals = {key: value for key, value in signals.items() if value not in (None, "default")}
         default = pipeline_choice.default_log_pipeline(signals)
-        train = list(entry.train)
-        if share != 1.0:  # the first part of each
-            tables = [{"use": log} if isinstance(log, str) else log for log in train]
-            train = [{**table, "share": share} for table in tables]
+        train = [_first_part(log, share) for log in entry.train]
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
             robot=entry.robot,
@@ -322,6 +321,13 @@ def _specs_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
             pipeline=default if pipeline is None else pipeline_choice.pipeline_spec(pipeline.spec),
             log={"train": train, "choose": list(choose), "moving": moving, **shared},
         )
+
+
+def _first_part(log: Any, share: float) -> Any:
+    """Return a log as written, or its first part."""
+    if share == 1.0:
+        return log
+    return {**({"use": log} if isinstance(log, str) else log), "share": share}
 
 
 def _log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
@@ -390,6 +396,7 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
                 motions=motions,
                 redrawn=tuple(sorted(set(axes.redrawn))),
                 candidate=normal_candidate(written(axes.candidate)),
+                confidence=_level(suite),
             )
             # The table of signals as JSON. Defaults of keys that are younger than ids are left
             # out, so that ids stay
@@ -401,6 +408,12 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
             spec = _with_pipeline(spec, line, table)
             repeats = suite.run.repeats if is_random(spec) else 1
             yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
+
+
+def _level(suite: Suite) -> float | None:
+    """Return the confidence level of a suite; None for the usual one: ids are older than the
+    key."""
+    return None if suite.confidence == LEVEL else suite.confidence
 
 
 def _with_pipeline(

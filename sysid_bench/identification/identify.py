@@ -1,8 +1,7 @@
 """Run one estimator on one problem and return an estimate in any case."""
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, get_args
 
 import numpy as np
@@ -14,7 +13,8 @@ from sysid_bench.errors import (
     UnsupportedError,
     UsageError,
 )
-from sysid_bench.types import Array, Estimate, EstimateStatus, Experiment, Problem, Recording
+from sysid_bench.identification.optimisers import Budget, BudgetUse
+from sysid_bench.types import Array, Estimate, EstimateStatus, Experiment, Problem
 
 
 def identify(estimator: Any, problem: Problem, experiment: Experiment | None = None) -> Estimate:
@@ -27,10 +27,9 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
     `simulations` where the method has not.
     """
     start, cpu_start = time.perf_counter(), time.process_time()
-    counted = None
+    meter = BudgetUse(Budget())  # no limit: it counts alone
     if experiment is not None:
-        counted = _Counted(experiment.simulate)
-        experiment = replace(experiment, simulate=counted)
+        experiment = replace(experiment, simulate=meter.with_count(experiment.simulate))
     try:
         estimate = _call(estimator, problem, experiment)
         estimate = _checked(estimate, problem)
@@ -41,7 +40,7 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
     seconds, cpu = time.perf_counter() - start, time.process_time() - cpu_start
     simulations = estimate.simulations
     if simulations is None:
-        simulations = 0 if counted is None else counted.calls
+        simulations = meter.simulations
     stats = {**estimate.stats, "seconds": seconds, "seconds_cpu": cpu}
     return replace(estimate, stats=stats, simulations=simulations)
 
@@ -56,18 +55,6 @@ def fit_fields(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-@dataclass(eq=False)
-class _Counted:
-    """A simulation of an experiment that counts its calls."""
-
-    simulate: Callable[..., Recording]
-    calls: int = 0
-
-    def __call__(self, *arguments: Any) -> Recording:
-        self.calls += 1
-        return self.simulate(*arguments)
-
-
 def _call(estimator: Any, problem: Problem, experiment: Experiment | None) -> Any:
     both = hasattr(estimator, "fit") and hasattr(estimator, "solve")
     if both and experiment is not None and not problem.motions:
@@ -77,21 +64,16 @@ def _call(estimator: Any, problem: Problem, experiment: Experiment | None) -> An
     if hasattr(estimator, "fit"):
         if experiment is None:
             raise UnsupportedError(f"{estimator!r} needs an experiment; only a problem is given.")
-        _check_one_motion(estimator, problem)
+        # An estimate from the first motion alone would be compared with those from all of them.
+        if problem.motions:
+            raise UnsupportedError(
+                f"{type(estimator).__name__} simulates one recorded motion, and the training data "
+                f"are {len(problem.motions)} motions: give it one (motions = 1, one training log)."
+            )
         return estimator.fit(experiment)
     raise UsageError(
         f"{estimator!r} is not an estimator: it has neither solve(problem) nor fit(experiment)."
     )
-
-
-def _check_one_motion(estimator: Any, problem: Problem) -> None:
-    """Raise UnsupportedError where a method that simulates would see one of several motions."""
-    # An estimate from the first motion alone would be compared with those from all of them.
-    if problem.motions:
-        raise UnsupportedError(
-            f"{type(estimator).__name__} simulates one recorded motion, and the training data are "
-            f"{len(problem.motions)} motions: give it one (motions = 1, one training log)."
-        )
 
 
 def _checked(estimate: Any, problem: Problem) -> Estimate:
@@ -119,13 +101,8 @@ def _checked_numbers(estimate: Estimate, problem: Problem) -> Estimate:
     sigma = _numbers("sigma", estimate.sigma, (len(problem.rows),))
     if sigma is not None and (sigma <= 0).any():
         raise EstimationError("The method's sigma has a value that is not positive.")
-    numbers: dict[str, Any] = {
-        "theta": theta,
-        "beta": beta,
-        "covariance": covariance,
-        "sigma": sigma,
-    }
-    return replace(estimate, **numbers, **_plain_convergence(estimate))
+    plain = _plain_convergence(estimate)
+    return replace(estimate, theta=theta, beta=beta, covariance=covariance, sigma=sigma, **plain)
 
 
 def _plain_convergence(estimate: Estimate) -> dict[str, Any]:

@@ -80,8 +80,12 @@ def _by_window(values: Array, window: Array) -> Array:
 def _fitted(W: Array, f: Array, keep: Array) -> tuple[Array, Array]:
     """Least squares beta (r,) with rows weighted by their own noise (as `wls`), and the noise (m,)
     of its residuals."""
-    rows, r = range(f.shape[1]), W.shape[-1]
-    sigma = _positive(np.array([_own_noise(W[keep, i], f[keep, i]) for i in rows]))
+    r, own = W.shape[-1], []
+    for i in range(f.shape[1]):  # the noise of each row in its own fit
+        beta, _, rank, _ = np.linalg.lstsq(W[keep, i], f[keep, i], rcond=1e-9)
+        left = np.linalg.norm(f[keep, i] - W[keep, i] @ beta)
+        own.append(float(left / np.sqrt(max(int(keep.sum()) - rank, 1))))
+    sigma = _positive(np.array(own))
     G, g = (W[keep] / sigma[:, None]).reshape(-1, r), (f[keep] / sigma).ravel()
     beta, _, rank, _ = np.linalg.lstsq(G, g, rcond=1e-9)
     if rank < r:
@@ -91,11 +95,6 @@ def _fitted(W: Array, f: Array, keep: Array) -> tuple[Array, Array]:
         )
     left = np.sqrt(((f[keep] - W[keep] @ beta) ** 2).mean(axis=0))
     return np.asarray(beta), _positive(left * np.sqrt(len(g) / max(len(g) - r, 1)))
-
-
-def _own_noise(W: Array, f: Array) -> float:
-    beta, _, rank, _ = np.linalg.lstsq(W, f, rcond=1e-9)
-    return float(np.linalg.norm(f - W @ beta) / np.sqrt(max(len(f) - rank, 1)))
 
 
 def _positive(sigma: Array) -> Array:

@@ -1,7 +1,7 @@
 """Tables from cells: selection, grouping, statistics, marks of the best, notes."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -71,20 +71,19 @@ def effect_notes(entries: Entries, fields: tuple[Key, Key]) -> Iterator[str]:
     values = np.array([[entries[row, column].value for column in columns] for row in rows], float)
     found, (of_rows, of_columns) = main_effects(values), map(" / ".join, fields)
     shares = zip((of_rows, of_columns, "both together"), found.shares, strict=True)
+    by_rows, by_columns = (
+        ", ".join(f"{' / '.join(key)} {ratio:.3g}" for key, ratio in zip(*pairs, strict=True))
+        for pairs in ((rows, found.rows), (columns, found.columns))
+    )
     yield (
         "Main effects, as ratios to the geometric mean of the entries: "
-        f"{of_rows}: {_listed(rows, found.rows)}; {of_columns}: {_listed(columns, found.columns)}."
+        f"{of_rows}: {by_rows}; {of_columns}: {by_columns}."
     )
     listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
     yield f"Share of the variance of the logarithms: {listed}."
     left_out = [" / ".join(row) for row in every_row if row not in rows]
     if left_out:
         yield f"Without an effect, for want of numbers: {', '.join(dict.fromkeys(left_out))}."
-
-
-def _listed(keys: Sequence[Key], ratios: np.ndarray) -> str:
-    pairs = zip(keys, ratios, strict=True)
-    return ", ".join(f"{' / '.join(key)} {ratio:.3g}" for key, ratio in pairs)
 
 
 _Position = tuple[Key, Key]
@@ -98,12 +97,7 @@ def with_best(table: Table, best: str) -> Table:
     of each metric, where a metric without direction has no best; "none" marks nothing."""
     if best == "none":
         return table
-    winners = set(_winners(table, best))
-    marked = {key: replace(entry, best=key in winners) for key, entry in table.entries.items()}
-    return replace(table, entries=marked)
-
-
-def _winners(table: Table, best: str) -> Iterator[_Position]:
+    winners = set[_Position]()
     for keys in _competitions(table):
         metric = table.metric_of(keys[0][1])
         choice = _MARKS.get(best, _DIRECTIONS.get(metric.better))
@@ -113,7 +107,9 @@ def _winners(table: Table, best: str) -> Iterator[_Position]:
             # Keys whose number prints like that of the first: the reader sees them as equal.
             first = choice(values, key=values.__getitem__)
             text = table.column_notation[first[1]].text
-            yield from (key for key, value in values.items() if text(value) == text(values[first]))
+            winners |= {key for key, value in values.items() if text(value) == text(values[first])}
+    marked = {key: replace(entry, best=key in winners) for key, entry in table.entries.items()}
+    return replace(table, entries=marked)
 
 
 def _competitions(table: Table) -> Iterator[list[_Position]]:
@@ -149,11 +145,28 @@ OF_PLANTS: Final = ("simulation", "noise", "pipeline")
 
 def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) -> Iterator[str]:
     """Sentences below a table."""
-    yield from _pooling(cells, layout)
-    yield from _one_simulator(cells)
+    # Fields that differ between the cells of an entry: its statistic compares unlike settings.
+    # Settings that plants bring along are not counted beside the plants.
+    swept = [field for field in SWEEPABLE if field in cells.columns and field not in layout.fields]
+    counts = {field: _pooled_values(cells, field, layout) for field in swept}
+    pooled = [f"{count} of {field}" for field, count in counts.items() if count > 1]
+    if pooled:
+        yield f"Each number pools different settings: {', '.join(pooled)}."
+    # Rows whose plant is integrated as the models of methods that simulate are.
+    same = int(cells["same_simulator"].eq(True).sum()) if "same_simulator" in cells.columns else 0
+    if same:
+        yield (
+            f"Plant and candidate models share step and integrator in {same} of "
+            f"{len(cells)} cells: errors of methods that simulate are too small there."
+        )
     for metric in layout.metrics:
         yield from _names(cells, layout, metric)
-        yield from _reasons(cells, metric)
+        column = f"{REASONS}.{metric.name}"
+        if column in cells.columns:
+            given = cells.loc[~cells[column].isin(["", "none"]), column].value_counts()
+            yield from (
+                f"{metric.title}: {n} cells without a value: {why}." for why, n in given.items()
+            )
     # Metrics of all repeats are missing where there are too few of them.
     needs = set[str]().union(
         *(metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
@@ -168,16 +181,6 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
         yield from effect_notes(dict(entries), (layout.rows, layout.columns))
 
 
-def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
-    """Fields that differ between the cells of an entry: its statistic compares unlike settings.
-    Settings that plants bring along are not counted beside the plants."""
-    swept = [field for field in SWEEPABLE if field in cells.columns and field not in layout.fields]
-    counts = {field: _pooled_values(cells, field, layout) for field in swept}
-    pooled = [f"{count} of {field}" for field, count in counts.items() if count > 1]
-    if pooled:
-        yield f"Each number pools different settings: {', '.join(pooled)}."
-
-
 def _pooled_values(cells: "pd.DataFrame", field: str, layout: TableLayout) -> int:
     """Largest number of values of a field in an entry, and for one plant where plants set it."""
     shown = [name for name in layout.fields if name in cells.columns]
@@ -188,18 +191,6 @@ def _pooled_values(cells: "pd.DataFrame", field: str, layout: TableLayout) -> in
     return int(cells.groupby(keys, dropna=False)[field].nunique().max())
 
 
-def _one_simulator(cells: "pd.DataFrame") -> Iterator[str]:
-    """Rows whose plant is integrated as the models of methods that simulate are."""
-    if "same_simulator" not in cells.columns:
-        return
-    same = cells["same_simulator"].eq(True)
-    if same.any():
-        yield (
-            f"Plant and candidate models share step and integrator in {same.sum()} of "
-            f"{len(cells)} cells: errors of methods that simulate are too small there."
-        )
-
-
 def _names(cells: "pd.DataFrame", layout: TableLayout, metric: Metric) -> list[str]:
     """Names behind a count, from the column `<metric>_names`."""
     column = f"{metric.name}_names"
@@ -208,15 +199,6 @@ def _names(cells: "pd.DataFrame", layout: TableLayout, metric: Metric) -> list[s
     named = cells[~cells[column].isin(["", "none"])].to_dict("records")
     rows = ((" / ".join(str(row[field]) for field in layout.fields), row[column]) for row in named)
     return sorted({f"{place}: {metric.title.lower()}: {names}." for place, names in rows})
-
-
-def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
-    """Reasons of missing values, with the number of cells."""
-    column = f"{REASONS}.{metric.name}"
-    if column in cells.columns:
-        given = cells.loc[~cells[column].isin(["", "none"]), column].value_counts()
-        for why, n in given.items():
-            yield f"{metric.title}: {n} cells without a value: {why}."
 
 
 def build_table(
@@ -238,6 +220,10 @@ def build_table(
     chosen = select_rows(cells, spec, choose)
     chosen = with_labels(chosen[[name for name in chosen.columns if name in kept]])
     entries = table_entries(chosen, layout, parameters)
+    fields = len(layout.columns)
+    columns = _ordered(chosen, layout.columns, (column[:fields] for _, column in entries))
+    if layout.has_metric_columns:  # each of them below every other label
+        columns = tuple((*key, metric.name) for key in columns for metric in layout.metrics)
     table = Table(
         name=layout.name,
         title=layout.title,
@@ -247,7 +233,7 @@ def build_table(
         row_fields=layout.rows,
         column_fields=layout.column_fields,
         rows=_ordered(chosen, layout.rows, (row for row, _ in entries)),
-        columns=_columns(chosen, layout, (column for _, column in entries)),
+        columns=columns,
         entries=entries,
         notes=tuple(table_notes(chosen, layout, entries)),
         repeats=int(chosen["repeat"].nunique()) if "repeat" in chosen.columns else 0,
@@ -271,15 +257,6 @@ def table_fields(fields: Iterable[str], metrics: Iterable[str]) -> frozenset[str
     more = [text for name in names for text in (f"{name}_names", f"{REASONS}.{name}")]
     always = ("id", "status", "repeat", "same_simulator")
     return frozenset((*always, *SWEEPABLE, *SETTING, *fields, *names, *more))
-
-
-def _columns(cells: "pd.DataFrame", layout: TableLayout, keys: Iterable[Key]) -> tuple[Key, ...]:
-    """Column keys in order; with several metrics, each of them below every other label."""
-    fields = len(layout.columns)
-    columns = _ordered(cells, layout.columns, (key[:fields] for key in keys))
-    if not layout.has_metric_columns:
-        return columns
-    return tuple((*key, metric.name) for key in columns for metric in layout.metrics)
 
 
 def _ordered(cells: "pd.DataFrame", fields: Key, keys: Iterable[Key]) -> tuple[Key, ...]:

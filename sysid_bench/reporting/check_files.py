@@ -18,14 +18,8 @@ class Check:
 def to_junit(name: str, checks: Sequence[Check]) -> str:
     """JUnit XML: a test suite `name` with a test case for each check."""
     failed = sum(bool(check.failures) for check in checks)
-    suite = ElementTree.Element(
-        "testsuite",
-        name=_xml_text(name),
-        tests=str(len(checks)),
-        failures=str(failed),
-        errors="0",
-        skipped="0",
-    )
+    counts = {"tests": str(len(checks)), "failures": str(failed), "errors": "0", "skipped": "0"}
+    suite = ElementTree.Element("testsuite", {"name": _xml_text(name), **counts})
     for check in checks:
         place = {"classname": _xml_text(name), "name": _xml_text(check.name)}
         case = ElementTree.SubElement(suite, "testcase", place)

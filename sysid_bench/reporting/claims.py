@@ -120,8 +120,7 @@ def _units(lines: pd.DataFrame, over: str) -> Array:
 def _selection_values(lines: pd.DataFrame, metric: str, over: str) -> ClaimValues:
     """Values of one selection."""
     own = _numbers(lines, metric)
-    nothing = np.full(len(own), np.nan)
-    lost = int(np.isnan(own).sum())
+    nothing, lost = np.full(len(own), np.nan), int(np.isnan(own).sum())
     return ClaimValues(_units(lines, over), own, nothing, _methods(lines), lost)
 
 
@@ -272,31 +271,33 @@ def _said(claim: Mapping[str, Any], rows: ClaimRows) -> dict[str, Any]:
 def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> ClaimFinding:
     if claim.get("missing"):
         raise MissingRowsError(f"needs {claim['missing']}")
-    of, lines = _selection(claim, level, rows)
+    lines = rows.lines(_kind(claim, rows))
+    if level is not None:
+        lines = lines[lines["plant"].map(label) == level]
+    if len(lines) == 0:
+        raise MissingRowsError(f"no rows at {level}" if level else "no rows")
+    of = _selected_lines(lines, claim["select"], rows.choose, "the claim")
     values = _values(claim, of, lines, rows)
     # No interval over cells: a single robot may have any number of them.
     found = _figure(claim, values, rows)
     one_robot = "cells do not replicate each other: one robot may have all of them"
     figure = found.without_interval(one_robot) if claim["over"] == "cell" else found
     verdict = claim_verdict(figure, ClaimInterval.of(claim["direction"], claim["threshold"]))
-    reason = _open_reason(claim, verdict, figure, values)
+    # Why it stays open although its figure may be on one side.
+    reason = "the interval straddles the threshold" if verdict == "open" else ""
+    if figure.low is None:
+        counted = count_text(figure.count, claim["over"])
+        reason = f"{counted}: no interval{figure.reason and f' ({figure.reason})'}"
+    elif verdict == "holds" and values.lost > MOST_LOST * values.cells:
+        reason = f"{values.lost} of {values.cells} cells have no answer"
+    # Of a claim without a level its plants; recordings have none.
+    plants = [name for name in dict.fromkeys(map(label, of["plant"])) if name != "none"]
     return ClaimFinding(
-        **_said(claim, rows), level=level or _plants(of), verdict="open" if reason else verdict,
+        **_said(claim, rows), level=level or ", ".join(plants) or "recorded",
+        verdict="open" if reason else verdict,
         reason=reason, value=figure.value, low=figure.low, high=figure.high, count=figure.count,
         cells=values.cells, lost=values.lost,
     )  # fmt: skip
-
-
-def _selection(
-    claim: Mapping[str, Any], level: str | None, rows: ClaimRows
-) -> "tuple[pd.DataFrame, pd.DataFrame]":
-    """The lines of `select`, and all lines at the level."""
-    lines = rows.lines(_kind(claim, rows))
-    if level is not None:
-        lines = lines[lines["plant"].map(label) == level]
-    if len(lines) == 0:
-        raise MissingRowsError(f"no rows at {level}" if level else "no rows")
-    return _selected_lines(lines, claim["select"], rows.choose, "the claim"), lines
 
 
 def _kind(claim: Mapping[str, Any], rows: ClaimRows) -> str:
@@ -326,24 +327,6 @@ def _values(
     against = _selected_lines(lines, claim["against"], rows.choose, "the reference")
     named = (rows.fields(claim["select"]), rows.fields(claim["against"]))
     return _compared_values(of, against, claim["metric"], claim["over"], named)
-
-
-def _plants(lines: "pd.DataFrame") -> str:
-    """The plants of a claim without a level; recordings have none."""
-    names = [name for name in dict.fromkeys(map(label, lines["plant"])) if name != "none"]
-    return ", ".join(names) or "recorded"
-
-
-def _open_reason(
-    claim: Mapping[str, Any], verdict: Verdict, figure: ClaimFigure, values: ClaimValues
-) -> str:
-    """Why a claim stays open although its figure may be on one side; "" where it does not."""
-    if figure.low is None:
-        counted = count_text(figure.count, claim["over"])
-        return f"{counted}: no interval{figure.reason and f' ({figure.reason})'}"
-    if verdict == "holds" and values.lost > MOST_LOST * values.cells:
-        return f"{values.lost} of {values.cells} cells have no answer"
-    return "the interval straddles the threshold" if verdict == "open" else ""
 
 
 def _logs(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> Array:

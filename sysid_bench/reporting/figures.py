@@ -5,9 +5,10 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import accumulate, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec
 
 import numpy as np
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+P = ParamSpec("P")
 
 WIDTH: Final = 3.44  # inches; with its margin, one column of a two-column paper (252 pt)
 DOUBLE: Final = 7.1  # inches, both columns (516 pt)
@@ -48,18 +50,23 @@ _OF_PAGE: Final = {
 """Variables of a page in place of colours that are right on white paper alone."""
 
 
-def svg_of(draw: "Callable[[], Figure]") -> str:
-    """A drawing as an <svg> element."""
-    return svg_element(_file_bytes(draw, "svg"))
+class Drawing(Generic[P]):
+    """Decorator of functions that draw data at a width (inches): the same bytes every time."""
 
+    def __init__(self, draw: "Callable[P, Figure]") -> None:
+        self.draw = draw
 
-def write_figure(draw: "Callable[[], Figure]", path: Path) -> Path:
-    """A drawing as a .pdf, .png or .svg file; raises UsageError for another suffix."""
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in METADATA:
-        raise UsageError(f"A figure ends with .pdf, .png or .svg; {path.name!r} does not.")
-    path.write_bytes(_file_bytes(draw, kind))
-    return path
+    def write(self, path: Path, /, *data: P.args, **words: P.kwargs) -> Path:
+        """Draw into a .pdf, .png or .svg file; raises UsageError for another suffix."""
+        kind = path.suffix.lower().removeprefix(".")
+        if kind not in METADATA:
+            raise UsageError(f"A figure ends with .pdf, .png or .svg; {path.name!r} does not.")
+        path.write_bytes(_file_bytes(partial(self.draw, *data, **words), kind))
+        return path
+
+    def svg(self, *data: P.args, **words: P.kwargs) -> str:
+        """Draw as an <svg> element of a page."""
+        return svg_element(_file_bytes(partial(self.draw, *data, **words), "svg"))
 
 
 def svg_element(svg: bytes) -> str:
@@ -115,42 +122,31 @@ LONGEST: Final = 40  # letters of a label
 _LETTER, _KEY = 0.05, 0.3  # inches of a letter and of the mark in a legend
 
 
-def figure(table: Table, path: Path, width: float = WIDTH) -> Path:
-    """Draws a table into a .pdf, .png or .svg file (width in inches), the same bytes every time.
-
-    A heat map where one field meets one field and neither is the estimator (robot x payload),
-    dots with intervals otherwise. Raises UsageError for another suffix.
-    """
-    return write_figure(lambda: _picture(table, width), path)
-
-
-def figure_svg(table: Table) -> str:
-    """The same picture as an <svg> element to put into a page."""
-    return svg_of(lambda: _picture(table, WIDTH))
-
-
-def _picture(table: Table, width: float) -> "Figure":
-    """A map shows levels; estimators are compared with each other, which takes a common axis."""
+@Drawing
+def figure(table: Table, width: float = WIDTH) -> "Figure":
+    """Draw a table: a heat map where one field meets one field and neither is the estimator (robot
+    x payload), dots with intervals otherwise."""
     fields = (*table.row_fields, *table.column_fields)
+    # A map shows levels; estimators are compared with each other, which takes a common axis.
     is_map = len(table.row_fields) == len(table.column_fields) == 1 and "estimator" not in fields
     return _heat_map(table, width) if is_map and len(_panels(table)) == 1 else _dots(table, width)
 
 
 def _panels(table: Table) -> list[Table]:
-    """Noise-free and noisy entries apart, where a table has both."""
+    """Noise-free and noisy entries apart, where a table has both, with the columns of each."""
     fields = (*table.row_fields, *table.column_fields)
     if "noise" not in fields:
         return [table]
     place = fields.index("noise")
     exact = {key: e for key, e in table.entries.items() if sum(key, ())[place] == EXACT}
     noisy = {key: e for key, e in table.entries.items() if key not in exact}
-    return [_part(table, exact), _part(table, noisy)] if exact and noisy else [table]
-
-
-def _part(table: Table, entries: Mapping[tuple[Key, Key], Entry]) -> Table:
-    """Some entries of a table, with the columns that have one."""
-    columns = tuple(c for c in table.columns if any(key[1] == c for key in entries))
-    return replace(table, columns=columns, entries=entries)
+    if not (exact and noisy):
+        return [table]
+    panels = []
+    for entries in (exact, noisy):
+        columns = tuple(c for c in table.columns if any(key[1] == c for key in entries))
+        panels.append(replace(table, columns=columns, entries=entries))
+    return panels
 
 
 def _dots(table: Table, width: float) -> "Figure":
@@ -166,21 +162,38 @@ def _dots(table: Table, width: float) -> "Figure":
     all_axes[0].set_yticks(range(len(table.rows)), _labels(table.rows))
     all_axes[0].set_ylim(len(table.rows) - 0.5, -0.5)
     drawing.supxlabel(plain(table.metric.heading), fontsize=8)
-    _legend(drawing, table, width)
+    # Names of the columns above the axes, as many beside each other as the width holds.
+    pairs = [axes.get_legend_handles_labels() for axes in drawing.axes]
+    handles = {name: one for found in pairs for one, name in zip(*found, strict=True)}
+    if handles and table.column_fields:
+        fitting = int(width / (_LETTER * max(map(len, handles)) + _KEY))
+        drawing.legend(handles.values(), handles.keys(), loc="outside upper center",
+                       ncols=max(1, min(fitting, len(handles), 4)), frameon=False,
+                       handletextpad=0.3, columnspacing=1.0, borderaxespad=0.2)  # fmt: skip
     return drawing
 
 
 def _one_panel(axes: "Axes", table: Table, columns: Sequence[Key]) -> None:
     """Entries on one axis; a column has the colour of its place among all `columns`."""
     lanes = max(len(table.columns), 1)
-    axes.set_xscale("log" if _spans_decades(table) else "linear")
+    # Logarithmic where no value is negative and they differ by decades.
+    values = [entry.value for entry in table.entries.values() if entry.value is not None]
+    positive = list(filter(None, values)) or [1.0]
+    decades = math.log10(max(positive) / min(positive)) if min(values, default=-1.0) >= 0 else 0.0
+    axes.set_xscale("log" if decades > _DECADES_FOR_LOG else "linear")
     for lane, column in enumerate(table.columns):
-        offset = ((lane + 0.5) / lanes - 0.5) * 0.72
-        _one_series(axes, table, column, columns.index(column), offset)
-    if axes.get_xscale() == "log":
-        axes.locator_params(axis="x", numticks=5)
-    else:
-        axes.locator_params(axis="x", nbins=5)
+        # Each lane has its own offset, so that intervals do not overlap.
+        offset, place = ((lane + 0.5) / lanes - 0.5) * 0.72, columns.index(column)
+        colour, marker = COLOURS[place % len(COLOURS)], _MARKERS[place % len(_MARKERS)]
+        points: list[tuple[float, float]] = []
+        for i, row in enumerate(table.rows):
+            entry = table.entry(row, column)
+            if entry is not None:
+                points += _one_entry(axes, entry, i + offset, colour)
+        name, xy = _label(" · ".join(column)) or None, np.reshape(points, (-1, 2)).T
+        axes.plot(*xy, marker, color=colour, markeredgewidth=0, label=name)
+    ticks: dict[str, Any] = {"numticks" if axes.get_xscale() == "log" else "nbins": 5}
+    axes.locator_params(axis="x", **ticks)
     axes.grid(axis="x", which="major", color="#dddddd", linewidth=0.4)
     axes.set_axisbelow(True)
     # A line between groups of the first row field.
@@ -188,31 +201,6 @@ def _one_panel(axes: "Axes", table: Table, columns: Sequence[Key]) -> None:
         axes.axhline(last - 0.5, color="#bbbbbb", linewidth=0.5)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
-
-
-def _legend(drawing: "Figure", table: Table, width: float) -> None:
-    """Names of the columns above the axes, as many beside each other as the width holds."""
-    pairs = [axes.get_legend_handles_labels() for axes in drawing.axes]
-    handles = {name: one for found in pairs for one, name in zip(*found, strict=True)}
-    if not handles or not table.column_fields:
-        return
-    longest = max(map(len, handles))
-    fitting = int(width / (_LETTER * longest + _KEY))
-    drawing.legend(handles.values(), handles.keys(), loc="outside upper center",
-                   ncols=max(1, min(fitting, len(handles), 4)), frameon=False,
-                   handletextpad=0.3, columnspacing=1.0, borderaxespad=0.2)  # fmt: skip
-
-
-def _one_series(axes: "Axes", table: Table, column: Key, lane: int, offset: float) -> None:
-    """Points of a column; each lane has its own offset, so that intervals do not overlap."""
-    colour, marker = COLOURS[lane % len(COLOURS)], _MARKERS[lane % len(_MARKERS)]
-    points: list[tuple[float, float]] = []
-    for i, row in enumerate(table.rows):
-        entry = table.entry(row, column)
-        if entry is not None:
-            points += _one_entry(axes, entry, i + offset, colour)
-    name = _label(" · ".join(column)) or None
-    axes.plot(*np.reshape(points, (-1, 2)).T, marker, color=colour, markeredgewidth=0, label=name)
 
 
 def _one_entry(axes: "Axes", entry: Entry, y: float, colour: str) -> list[tuple[float, float]]:
@@ -233,7 +221,9 @@ def _one_entry(axes: "Axes", entry: Entry, y: float, colour: str) -> list[tuple[
 
 
 def _heat_map(table: Table, width: float) -> "Figure":
-    values = np.array([[_log(table.entry(r, c)) for c in table.columns] for r in table.rows])
+    found = [[(table.entry(r, c) or NO_ENTRY).value for c in table.columns] for r in table.rows]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = np.log10(np.array(found, dtype=float))
     drawing = new_figure(0.7 + 0.24 * len(table.rows), width)
     axes = drawing.add_subplot()
     known = values[np.isfinite(values)]
@@ -264,20 +254,6 @@ def _cell_text(entry: Entry) -> str:
         return entry.label or ABSENT
     digits = f"{entry.value:.0e}" if entry.value else "0"
     return digits.replace("e-0", "e-").replace("e+0", "e+") + ("*" if entry.note else "")
-
-
-def _log(entry: Entry | None) -> float:
-    value = (entry or NO_ENTRY).value or 0.0
-    return math.log10(value) if value > 0 else math.nan
-
-
-def _spans_decades(table: Table) -> bool:
-    """True where an axis of the values should be logarithmic: none is negative, and they differ."""
-    values = [entry.value for entry in table.entries.values() if entry.value is not None]
-    if min(values, default=-1.0) < 0:
-        return False
-    positive = list(filter(None, values)) or [1.0]
-    return math.log10(max(positive)) - math.log10(min(positive)) > _DECADES_FOR_LOG
 
 
 def _labels(keys: Sequence[Key]) -> list[str]:

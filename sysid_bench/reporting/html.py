@@ -17,9 +17,9 @@ from markupsafe import Markup
 
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.figures import figure_svg, page_svg
+from sysid_bench.reporting.figures import figure, page_svg
 from sysid_bench.reporting.ranking import Ranking
-from sysid_bench.reporting.ranking_figures import cost_svg, profile_svg
+from sysid_bench.reporting.ranking_figures import cost_by_method, cost_figure, profile
 from sysid_bench.reporting.ranking_tables import ranking_tables
 from sysid_bench.reporting.report_data import (
     CELLS,
@@ -34,7 +34,7 @@ from sysid_bench.reporting.report_data import (
     torque_data,
 )
 from sysid_bench.reporting.sections import experiment_lines, joint_errors, plant_tables
-from sysid_bench.reporting.signal_figures import StoredTorque, torque_svg
+from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.reporting.tables import Table
 from sysid_bench.reporting.text_table import TextTable
 from sysid_bench.types import Array, Metric
@@ -97,6 +97,13 @@ def report_html(run: RunView) -> str:
     cells = cells_to_json(run.cells, run.recordings, run.metrics)
     data = {**cells, "chunk": CELLS, "hasJoints": len(chunks) > 0}
     name = run.suite.get("name") or run.folder.name
+    tolerance = (run.suite.get("crosscheck") or {}).get("tolerance")
+    # Commands on a cell: to run it again, to print its whole row, to open its recording.
+    commands = {
+        "run": f"sysid-bench run {folder} --select 'id == \"ID\"' --rerun all",
+        "cell": f"sysid-bench cell {folder} ",
+        "view": f"sysid-bench view {folder} ",
+    }
     return _render(
         "report",
         name=name,
@@ -108,7 +115,7 @@ def report_html(run: RunView) -> str:
         notes=run.notes,
         summary=run_summary(run.cells),
         crosschecks=crosscheck_rows(run.cells),
-        tolerance=_tolerance(run.suite),
+        tolerance=None if tolerance is None else float(tolerance),
         tables=run.tables,
         rankings=[order[0] for order in orders],
         levels=tuple(plant_tables(run.cells)),
@@ -124,17 +131,8 @@ def report_html(run: RunView) -> str:
         data=data_text(data),
         chunks=chunks,
         curves=[(cell, torque_data(sample)) for cell, sample in run.torques.items()],
-        commands=Markup(_script_safe(_commands(folder))),
+        commands=Markup(_script_safe(commands)),
     )
-
-
-def _commands(folder: str) -> dict[str, str]:
-    """Commands on a cell: to run it again, to print its whole row, to open its recording."""
-    return {
-        "run": f"sysid-bench run {folder} --select 'id == \"ID\"' --rerun all",
-        "cell": f"sysid-bench cell {folder} ",
-        "view": f"sysid-bench view {folder} ",
-    }
 
 
 def _render(template: str, /, **values: Any) -> str:
@@ -161,17 +159,16 @@ def page_layout(name: str, *folders: Path) -> "Template":
 def _figures(run: RunView) -> Iterator[tuple[str, str, str]]:
     """Title, caption and <svg> of every ranking, the first table that fits, the map of gaps."""
     for ranking in run.rankings:
-        yield ranking.title, PROFILE, profile_svg(ranking)
-        cost = cost_svg(ranking, run.cells)
-        if cost:
-            yield f"{ranking.title}: error and CPU time", COST, cost
-    first = islice(filter(_fits_a_figure, run.tables), 1)
-    for table in filter(_fits_a_figure, (*first, *_gap_map(run.cells))):
-        yield table.title, table.description, figure_svg(table)
+        yield ranking.title, PROFILE, profile.svg(ranking)
+        if cost_by_method(ranking, run.cells):
+            title = f"{ranking.title}: error and CPU time"
+            yield title, COST, cost_figure.svg(ranking, run.cells)
 
+    def fits(table: Table) -> bool:
+        return table.has_figure and 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE
 
-def _fits_a_figure(table: Table) -> bool:
-    return table.has_figure and 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE
+    for table in filter(fits, (*islice(filter(fits, run.tables), 1), *_gap_map(run.cells))):
+        yield table.title, table.description, figure.svg(table)
 
 
 def _gap_map(cells: "pd.DataFrame") -> Iterator[Table]:
@@ -187,11 +184,6 @@ def _gap_map(cells: "pd.DataFrame") -> Iterator[Table]:
         }
         # The cross-check belongs to the robot: a failed estimator takes nothing from it.
         yield build_table(measured.assign(status="ok"), {"name": "gap", **gaps})
-
-
-def _tolerance(suite: Mapping[str, Any]) -> float | None:
-    tolerance = (suite.get("crosscheck") or {}).get("tolerance")
-    return None if tolerance is None else float(tolerance)
 
 
 def _short_path(folder: Path) -> str:
@@ -230,7 +222,7 @@ def write_findings_html(
         StoredTorque(one.title, one.t, one.measured, one.fitted, tuple(one.rows), tuple(one.units))
         for one in torques
     ]
-    drawn = [(sample, Markup(torque_svg(sample))) for sample in samples]
+    drawn = [(sample, Markup(torque_figure.svg(sample))) for sample in samples]
     page = _render("findings", title=title, findings=findings, torques=drawn)
     path.write_text(page + "\n", encoding="utf-8")
     return path
@@ -257,13 +249,7 @@ def write_compare_page(
 
 def _has_numbers(texts: Sequence[str]) -> bool:
     """True for a column of numbers; a dash stands for one that is missing."""
-    numbers = [text for text in texts if text != "-"]
-    return bool(numbers) and all(map(_is_number, numbers))
-
-
-def _is_number(text: str) -> bool:
     try:
-        float(text)
+        return len([float(text) for text in texts if text != "-"]) > 0
     except ValueError:
         return False
-    return True

@@ -307,25 +307,19 @@ def suite_macro_text(
 
     `choose(expression, cell)` decides on cells. A macro without any ok cell prints a dash.
     """
-    lines = [f"\\newcommand{{\\{spec['name']}}}{{{_number_of(cells, spec, choose, metrics)}}}"
-             for spec in specs]  # fmt: skip
+    lines = []
+    for spec in specs:
+        metric, text = metrics[spec["metric"]], "--"
+        found = select_rows(cells, spec, choose)
+        given = found[metric.name].where(found["status"] == "ok") if metric.name in found else ()
+        numbers = np.array([math.nan if value is None else float(value) for value in given])
+        values = metric.scale * numbers[np.isfinite(numbers)]
+        if len(values):
+            value = statistic_of(spec["stat"], values)
+            digits = 0 if spec["stat"] == "count" else metric.digits
+            text = f"\\num{{{notation([value], digits).text(value)}}}"
+        lines.append(f"\\newcommand{{\\{spec['name']}}}{{{text}}}")
     return origin_text(origin) + "\n".join(lines) + "\n"
-
-
-def _number_of(
-    cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose, metrics: Mapping[str, Metric]
-) -> str:
-    """The statistic of a metric over the ok cells that a macro selects; "--" where none has it."""
-    metric = metrics[spec["metric"]]
-    found = select_rows(cells, spec, choose)
-    given = found[metric.name].where(found["status"] == "ok") if metric.name in found else ()
-    numbers = np.array([math.nan if value is None else float(value) for value in given])
-    values = metric.scale * numbers[np.isfinite(numbers)]
-    if len(values) == 0:
-        return "--"
-    value = statistic_of(spec["stat"], values)
-    digits = 0 if spec["stat"] == "count" else metric.digits
-    return f"\\num{{{notation([value], digits).text(value)}}}"
 
 
 def macro_names(keys: Sequence[tuple[str, ...]]) -> list[str]:

@@ -8,7 +8,7 @@ the declared family depend on which other methods are entered.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
@@ -102,6 +102,12 @@ def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
         name: rows[name].unstack("estimator")[methods] for name in ("error", "status", "converged")
     }
     cases = table["error"].index.to_frame(index=False)
+    # The most frequent reason of each method with a cell that is not ok.
+    reasons = {}
+    if "reason" in cells:
+        lost = cells[(cells["status"] != _OK) & cells["reason"].notna()]
+        groups = lost.groupby(lost["estimator"].map(label), sort=False)["reason"]
+        reasons = {str(method): str(given.value_counts().index[0]) for method, given in groups}
     return RankingCases(
         robots=tuple(cases.get("robot", ["robot"] * len(cases))),
         methods=tuple(methods),
@@ -112,7 +118,7 @@ def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
         noise_free=_noise_free(cases),
         told=_is(cases, "prior", "truth"),
         floor=max(metric.floor, float(np.finfo(float).tiny)),
-        reasons=_reasons(cells),
+        reasons=reasons,
     )
 
 
@@ -132,15 +138,6 @@ def _noise_free(cases: "pd.DataFrame") -> Array:
     if "signals" in cases:
         parts.append(np.array(["exact" in text.split(", ") for text in cases["signals"]]))
     return np.asarray(np.logical_and.reduce(parts))
-
-
-def _reasons(cells: "pd.DataFrame") -> dict[str, str]:
-    """The most frequent reason of each method with a cell that is not ok."""
-    if "reason" not in cells:
-        return {}
-    lost = cells[(cells["status"] != _OK) & cells["reason"].notna()]
-    groups = lost.groupby(lost["estimator"].map(label), sort=False)["reason"]
-    return {str(method): str(given.value_counts().index[0]) for method, given in groups}
 
 
 MOST_FALLBACKS: Final = 0.1
@@ -204,11 +201,15 @@ def method_ratio(
     planned = cases.with_ratio & cases.has_row[:, m] & (cases.errors[:, r] > cases.floor)
     planned &= ~(cases.errors[:, m] <= cases.floor)
     answered, converged = planned & np.isfinite(logs), cases.converged[:, m]
-    by_robot = {
-        "ratio": _by_robot(cases.robots, logs, answered),
-        "fallback": _by_robot(cases.robots, np.where(answered, logs, 0.0), planned),
-        "replaced": _by_robot(cases.robots, np.where(answered & converged, logs, 0.0), planned),
-    }
+    names = tuple(dict.fromkeys(cases.robots))
+    by_robot, figures = {}, {}
+    for name, values, which in (
+        ("ratio", logs, answered),
+        ("fallback", np.where(answered, logs, 0.0), planned),
+        ("replaced", np.where(answered & converged, logs, 0.0), planned),
+    ):
+        means = mean_by_robot(cases.robots, np.where(which, values, np.nan), names)
+        by_robot[name], figures[name] = means, RatioFigure.of(means[~np.isnan(means)])
     deciding = by_robot["replaced" if is_replaced else "fallback"]
     own = answered & converged if is_replaced else answered
     known = deciding[~np.isnan(deciding)]
@@ -219,9 +220,7 @@ def method_ratio(
         statuses["no value"] = statuses.pop("ok")
     return MethodRatio(
         method=method,
-        ratio=_figure(by_robot["ratio"]),
-        fallback=_figure(by_robot["fallback"]),
-        replaced=_figure(by_robot["replaced"]),
+        **figures,
         robots=len(known),
         cells=int(planned.sum()),
         statuses=dict(sorted(statuses.items())),
@@ -234,16 +233,6 @@ def method_ratio(
         ratios=np.where(answered, np.exp(logs), np.nan)[planned],
         reason=cases.reasons.get(method, ""),
     )
-
-
-def _by_robot(robots: tuple[str, ...], values: Array, which: Array) -> Array:
-    """Mean (robots,) of the values of each robot's cases in `which`, in the order of first
-    appearance; NaN for a robot without any."""
-    return mean_by_robot(robots, np.where(which, values, np.nan), tuple(dict.fromkeys(robots)))
-
-
-def _figure(by_robot: Array) -> RatioFigure:
-    return RatioFigure.of(by_robot[~np.isnan(by_robot)])
 
 
 def _verdict(logs: Array, margin: float, fallbacks: float) -> str:
@@ -325,7 +314,13 @@ class Ranking:
     @cached_property
     def holm_p(self) -> Mapping[str, float]:
         """p of the comparisons of the family after Holm's correction; equal answers count once."""
-        tested = _one_each(self.family, {**self.same, self.against: self.against}, self.against)
+        # The first method of each class of equal answers, without the class of the reference.
+        first = {name: self.same.get(name, name) for name in self.family}
+        seen, tested = {self.against}, []
+        for name, one in first.items():
+            if name != self.against and one not in seen:
+                seen.add(one)
+                tested.append(name)
         raw = {one.method: one.p for one in self.comparisons}
         return dict(zip(tested, holm(np.array([raw[m] for m in tested])).tolist(), strict=True))
 
@@ -338,17 +333,6 @@ class Ranking:
         errors = np.where(errors <= self.cases.floor, 0.0, errors)
         order = [self.cases.methods.index(method) for method in self.method_names]
         return win_rates(errors[self.cases.with_ratio][:, order])
-
-
-def _one_each(methods: Sequence[str], same: Mapping[str, str], without: str) -> list[str]:
-    """The first method of each class of equal answers, without the class of one of them."""
-    seen, kept = {without}, []
-    for method in methods:
-        first = same.get(method, method)
-        if first not in seen:
-            seen.add(first)
-            kept.append(method)
-    return kept
 
 
 def rank_cells(
@@ -391,6 +375,12 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
     # The reference stands first in its class: a copy of it is not compared with it.
     ordered = (against, *(method for method in cases.methods if method != against))
     found = [method_ratio(cases, method, against, margin, is_replaced) for method in ordered]
+
+    def order(one: MethodRatio) -> tuple[float, str]:
+        """Median of the deciding ratios, then the name; without any robot last."""
+        known = one.logs[~np.isnan(one.logs)]
+        return (float(np.median(known)) if len(known) else np.inf, one.method)
+
     return Ranking(
         name="-".join([str(spec["name"]), *values]),
         title=f"{title}: {', '.join(values)}" if values else title,
@@ -398,14 +388,8 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
         against=against,
         margin=margin,
         is_replaced=is_replaced,
-        comparisons=tuple(sorted(found, key=_order)),
+        comparisons=tuple(sorted(found, key=order)),
         family=family,
         same=find_copied(cases, ordered),
         cases=cases,
     )
-
-
-def _order(one: MethodRatio) -> tuple[float, str]:
-    """Median of the deciding ratios, then the name; without any robot last."""
-    known = one.logs[~np.isnan(one.logs)]
-    return (float(np.median(known)) if len(known) else np.inf, one.method)

@@ -3,26 +3,14 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
-from sysid_bench.evaluation.robot_statistic import RatioFigure
-from sysid_bench.reporting.figures import (
-    COLOURS,
-    WIDTH,
-    new_figure,
-    plain,
-    svg_of,
-    write_figure,
-)
+from sysid_bench.reporting.figures import COLOURS, WIDTH, Drawing, new_figure, plain
 from sysid_bench.reporting.ranking import RATIOS, Ranking
 from sysid_bench.reporting.selection import label
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -32,21 +20,20 @@ NAMED: Final = len(COLOURS)
 _DASHES: Final = ("-", "--")
 
 
-def profile(ranking: Ranking, path: Path, width: float = WIDTH) -> Path:
-    """Draw a profile (width in inches) into a .pdf, .png or .svg file, the same bytes always."""
-    return write_figure(lambda: _draw_profile(ranking, width), path)
-
-
-def profile_svg(ranking: Ranking) -> str:
-    """The same picture as an <svg> element to put into a page."""
-    return svg_of(lambda: _draw_profile(ranking, WIDTH))
-
-
-def _draw_profile(ranking: Ranking, width: float) -> "Figure":
+@Drawing
+def profile(ranking: Ranking, width: float = WIDTH) -> "Figure":
+    """Draw the profiles of a ranking."""
     drawing = new_figure(2.6, width)
     axes = drawing.add_subplot()
     for rank in reversed(range(len(ranking.method_names))):  # the first on top
-        _line(axes, ranking, rank)
+        share, name = ranking.profile[:, rank], plain(ranking.method_names[rank])
+        style: dict[str, Any]
+        if rank < NAMED:
+            style = {"color": COLOURS[rank], "linestyle": _DASHES[rank % 2], "label": name}
+        else:  # one of the grey lines names them all
+            style = {"color": "#cccccc", "linewidth": 0.5}
+            style["label"] = "others" if rank == NAMED else None
+        axes.step(RATIOS, share, where="post", **style)
     axes.set_xscale("log")
     axes.set_xlim(RATIOS[0], RATIOS[-1])
     axes.set_ylim(-0.01, 1.01)
@@ -62,18 +49,6 @@ def _draw_profile(ranking: Ranking, width: float) -> "Figure":
     drawing.legend(handles[::-1], names[::-1], loc="outside right upper", frameon=False,
                    handlelength=1.6, handletextpad=0.4, borderaxespad=0.2)  # fmt: skip
     return drawing
-
-
-def _line(axes: "Axes", ranking: Ranking, rank: int) -> None:
-    share = ranking.profile[:, rank]
-    if rank >= NAMED:
-        # One of the grey lines names them all.
-        others = "others" if rank == NAMED else None
-        axes.step(RATIOS, share, where="post", color="#cccccc", linewidth=0.5, label=others)
-        return
-    colour, dashes = COLOURS[rank], _DASHES[rank % 2]
-    name = plain(ranking.method_names[rank])
-    axes.step(RATIOS, np.asarray(share), dashes, where="post", color=colour, label=name)
 
 
 _SECONDS: Final = "seconds_cpu"
@@ -107,16 +82,13 @@ def method_times(cells: "pd.DataFrame") -> Mapping[str, float]:
 def cost_by_method(ranking: Ranking, cells: "pd.DataFrame") -> tuple[CostPoint, ...]:
     """The methods of a ranking that have a ratio and a time, in its order; a failure counts as the
     answer of the reference."""
-    seconds = method_times(cells)
-    return tuple(
-        CostPoint(one.method, seconds[one.method], one.fallback.value, _interval(one.fallback))
-        for one in ranking.comparisons
-        if one.fallback.value is not None and seconds.get(one.method, 0.0) > 0
-    )
-
-
-def _interval(ratio: RatioFigure) -> tuple[float, float] | None:
-    return None if ratio.low is None or ratio.high is None else (ratio.low, ratio.high)
+    seconds, points = method_times(cells), []
+    for one in ranking.comparisons:
+        ratio = one.fallback
+        if ratio.value is not None and seconds.get(one.method, 0.0) > 0:
+            ends = None if ratio.low is None or ratio.high is None else (ratio.low, ratio.high)
+            points.append(CostPoint(one.method, seconds[one.method], ratio.value, ends))
+    return tuple(points)
 
 
 def find_best(points: tuple[CostPoint, ...]) -> tuple[CostPoint, ...]:
@@ -128,27 +100,30 @@ def find_best(points: tuple[CostPoint, ...]) -> tuple[CostPoint, ...]:
     return tuple(kept)
 
 
-def cost_figure(ranking: Ranking, cells: "pd.DataFrame", path: Path, width: float = WIDTH) -> Path:
-    """Draw the methods (width in inches) into a .pdf, .png or .svg file, the same bytes always."""
-    points = cost_by_method(ranking, cells)
-    return write_figure(lambda: _draw_cost(points, ranking, width), path)
-
-
-def cost_svg(ranking: Ranking, cells: "pd.DataFrame") -> str:
-    """The same picture as an <svg> element; "" where no method has a time."""
-    points = cost_by_method(ranking, cells)
-    return svg_of(lambda: _draw_cost(points, ranking, WIDTH)) if points else ""
-
-
-def _draw_cost(points: tuple[CostPoint, ...], ranking: Ranking, width: float) -> "Figure":
-    drawing = new_figure(2.6, width)
+@Drawing
+def cost_figure(ranking: Ranking, cells: "pd.DataFrame", width: float = WIDTH) -> "Figure":
+    """Draw error against CPU time; a ranking without times has no points."""
+    drawing, points = new_figure(2.6, width), cost_by_method(ranking, cells)
     axes = drawing.add_subplot()
     front = find_best(points)
     axes.step([p.seconds for p in front], [p.ratio for p in front], where="post",
               color="#bbbbbb", linewidth=0.8, zorder=0)  # fmt: skip
     for place, point in enumerate(points):
-        _draw_point(axes, point, place)
-    _set_scales(axes, points)
+        # The colour of its rank; methods behind the last colour share one grey name.
+        is_named = place < NAMED
+        colour, marker = (COLOURS[place], _MARKERS[place]) if is_named else ("#999999", "o")
+        name = plain(point.method) if is_named else "others" if place == NAMED else None
+        if point.interval is not None:
+            axes.plot([point.seconds] * 2, point.interval, color=colour, linewidth=0.6)
+        axes.plot([point.seconds], [point.ratio], marker, color=colour, markeredgewidth=0,
+                  label=name)  # fmt: skip
+    axes.set_xscale("log")
+    ratios, seconds = [point.ratio for point in points], [point.seconds for point in points]
+    axes.set_yscale("log" if max(ratios) > _WIDE * min(ratios) else "linear")
+    axes.minorticks_off()
+    if max(seconds) < _FEW * min(seconds):
+        ticks = {f"{tick:.2g}": tick for tick in _time_ticks(seconds)}
+        axes.set_xticks(list(ticks.values()), list(ticks))
     axes.set_xlabel("CPU time of an answer (s), median")
     axes.set_ylabel(plain(f"Error, times {ranking.against}"))
     axes.grid(which="major", color="#dddddd", linewidth=0.4)
@@ -165,26 +140,3 @@ def _time_ticks(seconds: Sequence[float]) -> list[float]:
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     ticks = [m * 10.0**k for k in decades for m in (1, 2, 5) if low <= m * 10.0**k <= high]
     return ticks if len(ticks) > 1 else sorted({low, high})
-
-
-def _set_scales(axes: "Axes", points: tuple[CostPoint, ...]) -> None:
-    """Logarithmic times, with ticks of their own where they span few decades."""
-    axes.set_xscale("log")
-    ratios = [point.ratio for point in points]
-    axes.set_yscale("log" if max(ratios) > _WIDE * min(ratios) else "linear")
-    axes.minorticks_off()
-    seconds = [point.seconds for point in points]
-    if max(seconds) < _FEW * min(seconds):
-        ticks = {f"{tick:.2g}": tick for tick in _time_ticks(seconds)}
-        axes.set_xticks(list(ticks.values()), list(ticks))
-
-
-def _draw_point(axes: "Axes", point: CostPoint, place: int) -> None:
-    """A marker in the colour of its rank; methods behind the last colour share one grey name."""
-    is_named = place < NAMED
-    colour = COLOURS[place] if is_named else "#999999"
-    name = plain(point.method) if is_named else "others" if place == NAMED else None
-    if point.interval is not None:
-        axes.plot([point.seconds] * 2, point.interval, color=colour, linewidth=0.6)
-    marker = _MARKERS[place] if is_named else "o"
-    axes.plot([point.seconds], [point.ratio], marker, color=colour, markeredgewidth=0, label=name)

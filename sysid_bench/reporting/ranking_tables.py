@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import count_text
-from sysid_bench.evaluation.intervals import LEVEL_TEXT, ROBOTS
+from sysid_bench.evaluation.intervals import ROBOTS, level_text
 from sysid_bench.evaluation.robot_statistic import RatioFigure, least_p
 from sysid_bench.reporting.ranking import (
     ALIKE,
@@ -57,22 +57,19 @@ def ranking_tables(ranking: Ranking) -> tuple[Table, ...]:
 
 def verdict_table(ranking: Ranking) -> Table:
     """The methods from best to worst, each against the reference."""
+    replaced = "failed and unconverged answers" if ranking.is_replaced else "failures"
     caption = (
         f"{ranking.metric.title} over that of {ranking.against}: exp of the median over robots of "
-        f"their mean log ratio, with its {LEVEL_TEXT} interval over robots drawn again "
+        f"their mean log ratio, with its {level_text()} interval over robots drawn again "
         f"({ROBOTS.draws} draws, seed {ROBOTS.seed}; none below {ROBOTS.fewest} robots). "
         "p: exact signed-rank test over robots; corrected by Holm over "
         f"{count_text(len(ranking.holm_p), 'comparison')}. Verdict "
-        f"from the {_deciding(ranking)}: equivalent within {100 * ranking.margin:g} %; where more "
+        f"from the interval with the reference in place of {replaced}: equivalent within "
+        f"{100 * ranking.margin:g} %; where more "
         f"than {100 * MOST_FALLBACKS:g} % of the cases have no own answer, "
         "neither better nor equivalent."
     )
     return _table(ranking, "", "", _VERDICTS, _verdict_row, (caption, _notes(ranking)))
-
-
-def _deciding(ranking: Ranking) -> str:
-    replaced = "failed and unconverged answers" if ranking.is_replaced else "failures"
-    return f"interval with the reference in place of {replaced}"
 
 
 def _finite(x: float) -> float | None:
@@ -181,7 +178,9 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         f"With {robots} robots p cannot be below {floor:.2g}, and after the correction not below "
         f"{min(1.0, floor * max(tested, 1)):.2g}."
     )
-    yield from _class_notes(ranking.same)
+    for first in dict.fromkeys(ranking.same.values()):
+        copies = ", ".join(method for method, one in ranking.same.items() if one == first)
+        yield f"Same answers as {first} (errors within {ALIKE:g}), counted once: {copies}."
     r = cases.methods.index(ranking.against)
     lost = int((cases.with_ratio & cases.has_row[:, r] & np.isnan(cases.errors[:, r])).sum())
     counts = {
@@ -192,13 +191,6 @@ def _notes(ranking: Ranking) -> Iterator[str]:
     left_out = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     if left_out:
         yield f"Cases without a ratio: {left_out}."
-
-
-def _class_notes(same: Mapping[str, str]) -> Iterator[str]:
-    """One sentence for each class of equal answers."""
-    for first in dict.fromkeys(same.values()):
-        copies = ", ".join(method for method, one in same.items() if one == first)
-        yield f"Same answers as {first} (errors within {ALIKE:g}), counted once: {copies}."
 
 
 def _ratio(

@@ -58,7 +58,14 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
     ]
     if cell.predicted is not None:
         parts.append(rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual"))
-    parts += _regressor_views(cell)
+    # Singular values and gap side by side, as far as the cell has them.
+    views: list[rrb.View] = []
+    if len(cell.singular_values):
+        views.append(rrb.BarChartView(name="log10 singular values", origin="/singular_values"))
+    if cell.gap_map.size:
+        views.append(rrb.Spatial2DView(name="log10 |Y - Y_pin|", origin="/gap_map"))
+    if views:
+        parts.append(rrb.Horizontal(*views, column_shares=[1, 3][-len(views) :]))
     right = rrb.Vertical(*parts, row_shares=[3] + [1] * (len(parts) - 1))
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[2, 3]),
@@ -67,17 +74,6 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
         rrb.TimePanel(state="collapsed", timeline=timeline),
         auto_views=False,
     )
-
-
-def _regressor_views(cell: CellData) -> Iterator[rrb.Container]:
-    """Singular values and gap side by side, as far as the cell has them."""
-    views: list[rrb.View] = []
-    if len(cell.singular_values):
-        views.append(rrb.BarChartView(name="log10 singular values", origin="/singular_values"))
-    if cell.gap_map.size:
-        views.append(rrb.Spatial2DView(name="log10 |Y - Y_pin|", origin="/gap_map"))
-    if views:
-        yield rrb.Horizontal(*views, column_shares=[1, 3][-len(views) :])
 
 
 def _eye(positions: np.ndarray) -> rrb.EyeControls3D:

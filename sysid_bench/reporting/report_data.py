@@ -5,7 +5,7 @@ import gzip
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
@@ -66,54 +66,45 @@ def run_summary(cells: "pd.DataFrame") -> RunSummary:
     counts = Counter(map(label, cells["status"].dropna()))
     known = filter(counts.__contains__, STATUSES)
     others = sorted(set(counts) - set(STATUSES))
+    worst = []
+    for name in ("gap", "closure"):
+        if (value := _largest(cells, name)) is not None:
+            row = cells.iloc[int(np.nanargmax(cells[name].astype(float)))]
+            title = metric_of(name).title
+            where = f"{label(row['robot'])}, {label(row['payload'])}"
+            worst.append((f"Worst {title[0].lower()}{title[1:]}", _number(value), where))
     return RunSummary(
         total=len(cells),
         statuses=tuple((status, counts[status]) for status in (*known, *others)),
-        robots=_distinct(cells, "robot"),
-        payloads=_distinct(cells, "payload"),
-        estimators=_distinct(cells, "estimator"),
-        worst=(*_worst(cells, "gap"), *_worst(cells, "closure")),
+        **{
+            f"{name}s": len(set(map(label, cells.get(name, ()))))
+            for name in ("robot", "payload", "estimator")
+        },
+        worst=tuple(worst),
     )
-
-
-def _distinct(cells: "pd.DataFrame", name: str) -> int:
-    return len(set(map(label, cells.get(name, ()))))
-
-
-def _worst(cells: "pd.DataFrame", name: str) -> Iterator[tuple[str, str, str]]:
-    """Title, largest value of a metric and its robot and payload; nothing where it is missing."""
-    value = _largest(cells, name)
-    if value is not None:
-        row = cells.iloc[int(np.nanargmax(cells[name].astype(float)))]
-        title = metric_of(name).title
-        where = f"{label(row['robot'])}, {label(row['payload'])}"
-        yield f"Worst {title[0].lower()}{title[1:]}", _number(value), where
 
 
 def crosscheck_rows(cells: "pd.DataFrame") -> list[CrosscheckRow]:
     """Agreement per robot and payload, also of failed cells; a missing number never passes."""
-    return [_crosscheck_row(*group) for group in _groups(cells, "robot", "payload")]
-
-
-def _crosscheck_row(robot: str, payload: str, group: "pd.DataFrame") -> CrosscheckRow:
-    native = _largest(group, "native_gap")
-    return CrosscheckRow(
-        robot=robot,
-        payload=payload,
-        gap=_number(_largest(group, "gap")),
-        closure=_number(_largest(group, "closure")),
-        native=_first(group, "native_reason") if native is None else _number(native),
-        passed=_agrees(group),
-        repairs=_first(group, "repairs"),
-    )
-
-
-def _agrees(group: "pd.DataFrame") -> bool:
-    """The verdict of the run's cross-check; false where it or a figure is missing."""
-    if not {"crosscheck", "gap", "closure"} <= set(group.columns):
-        return False
-    figures = group[["gap", "closure"]].dropna()
-    return set(group["crosscheck"].dropna()) == {"ok"} and len(figures) > 0
+    rows = []
+    for robot, payload, group in _groups(cells, "robot", "payload"):
+        native = _largest(group, "native_gap")
+        # The verdict of the run's cross-check; false where it or a figure is missing.
+        passed = {"crosscheck", "gap", "closure"} <= set(group.columns)
+        passed = passed and set(group["crosscheck"].dropna()) == {"ok"}
+        passed = passed and len(group[["gap", "closure"]].dropna()) > 0
+        rows.append(
+            CrosscheckRow(
+                robot=robot,
+                payload=payload,
+                gap=_number(_largest(group, "gap")),
+                closure=_number(_largest(group, "closure")),
+                native=_first(group, "native_reason") if native is None else _number(native),
+                passed=passed,
+                repairs=_first(group, "repairs"),
+            )
+        )
+    return rows
 
 
 def failed_cells(cells: "pd.DataFrame") -> list[FailedCells]:
@@ -202,27 +193,21 @@ def joint_blocks(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[str, ..
     joints = joints if "id" in joints else joints.rename(columns={"cell": "id"})
     if joints.empty or not set(JOINT_SCORES[:3]) <= set(joints.columns):
         return ()
-    chunks, size = list[str](), 0
-    for chunk in _joint_texts(cells, joints):
-        chunks.append(_packed_text(chunk))
-        size += len(chunks[-1])
-        if size > MOST_JOINTS:
-            return tuple(chunks[:-1])
-    return tuple(chunks)
-
-
-def _joint_texts(cells: "pd.DataFrame", joints: "pd.DataFrame") -> Iterator[str]:
-    """JSON of each chunk."""
     import pandas as pd
 
     places = pd.Series(np.arange(len(cells)), index=cells["id"].astype(str))
     known = joints["id"].map(places)
     kept = joints.assign(place=known)[known.notna()].sort_values("place", kind="stable")
     place = kept["place"].to_numpy(int)
+    chunks, size = list[str](), 0
     for first in range(0, len(cells), CELLS):
         start, stop = np.searchsorted(place, [first, first + CELLS])
         counts = np.bincount(place[start:stop] - first, minlength=min(CELLS, len(cells) - first))
-        yield _joint_text(kept.iloc[start:stop], counts)
+        chunks.append(_packed_text(_joint_text(kept.iloc[start:stop], counts)))
+        size += len(chunks[-1])
+        if size > MOST_JOINTS:
+            return tuple(chunks[:-1])
+    return tuple(chunks)
 
 
 def _joint_text(joints: "pd.DataFrame", counts: np.ndarray) -> str:
@@ -323,25 +308,20 @@ def cells_to_json(
 
 def first_cells(data: Mapping[str, Any], most: int) -> dict[str, Any]:
     """The same columns with at most so many cells, and with the words of these alone."""
-    few = [
-        _used(words, codes[:most])
-        for words, codes in zip(data["dictionary"], data["codes"], strict=True)
-    ]
+    dictionary, kept = [], []
+    for words, codes in zip(data["dictionary"], data["codes"], strict=True):
+        used = sorted(set(codes[:most] or range(len(words))))
+        place = {code: i for i, code in enumerate(used)}
+        dictionary.append([words[code] for code in used])
+        kept.append([place[code] for code in codes[:most]])
     return {
         **data,
         "ids": data["ids"][:most],
-        "dictionary": [words for words, _ in few],
-        "codes": [codes for _, codes in few],
+        "dictionary": dictionary,
+        "codes": kept,
         "values": [values[:most] for values in data["values"]],
         "links": {i: place for i, place in data["links"].items() if i < most},
     }
-
-
-def _used(words: Sequence[str], codes: Sequence[int]) -> tuple[list[str], list[int]]:
-    """The words that some codes name, and the codes of these words."""
-    used = sorted(set(codes or range(len(words))))
-    place = {code: i for i, code in enumerate(used)}
-    return [words[code] for code in used], [place[code] for code in codes]
 
 
 def _reason(value: Any) -> str:

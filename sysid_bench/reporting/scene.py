@@ -1,6 +1,6 @@
 """The robot of a recording: bodies that move, their shapes, sticks where a body has none."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -48,7 +48,7 @@ def _complaints(files: Sequence[Path]) -> Iterator[str]:
     unreadable = [file.name for file in files if file.suffix.lower() not in _MESH_SUFFIXES]
     if unreadable:
         yield f"{first_names(unreadable)}: no format that the viewer reads."
-    lost = _absent(file for file in files if file.name not in unreadable)
+    lost = [one.name for one in files if one.name not in unreadable and not one.is_file()]
     if lost:
         yield f"{first_names(lost)}: no such file."
     size = sum(file.stat().st_size for file in files if file.is_file())
@@ -90,10 +90,6 @@ def _log_shape(stream: rr.RecordingStream, cell: CellData, shape: Shape, number:
         scale=scale,
     )
     stream.log(path, pose, _geometry(shape, colour), static=True)
-
-
-def _absent(files: Iterable[Path]) -> list[str]:
-    return [file.name for file in files if not file.is_file()]
 
 
 def _geometry(shape: Shape, colour: tuple[int, int, int]) -> rr.AsComponents:
@@ -139,16 +135,11 @@ def _log_sticks(
     ]
     if not pairs:
         return
-    ends = np.stack([_ends(positions, child, parent) for child, parent in pairs], axis=1)
+    at = np.insert(positions, 0, 0.0, axis=1)  # the world comes first
+    ends = np.stack([at[:, [parent + 1, child + 1]] for child, parent in pairs], axis=1)
     style = rr.LineStrips3D.from_fields(radii=[radius], colors=[_STICK])
     stream.log("sticks", style, static=True)
     strips = rr.LineStrips3D.columns(strips=ends.reshape(-1, 2, 3))
     stream.send_columns(
         "sticks", indexes=[times], columns=strips.partition([len(pairs)] * len(positions))
     )
-
-
-def _ends(positions: np.ndarray, child: int, parent: int) -> np.ndarray:
-    """The two ends of a stick (N, 2, 3)."""
-    start = positions[:, parent] if parent >= 0 else np.zeros_like(positions[:, child])
-    return np.stack([start, positions[:, child]], axis=1)

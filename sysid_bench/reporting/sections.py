@@ -65,54 +65,37 @@ _EMPTY: Final = {"noise": "exact"}
 
 def experiment_lines(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tuple[str, str]]:
     """Assumptions behind the numbers, from the suite, else from the cells."""
-    defaults = suite.get("defaults") or {}
-    plant = _setting(defaults, cells, "plant")
+    defaults, runs = suite.get("defaults") or {}, suite.get("run") or {}
+    plant, prior = (_setting(defaults, cells, key) for key in ("plant", "prior"))
+    # A prior that is drawn around the truth names the deviation of a mass.
+    prior += " (standard deviations of a draw around the truth)" if "mass" in prior else ""
     plants = set(map(label, cells.get("plant", ())))
+    data = "Simulated with MuJoCo; no real robot was measured."
+    if RECORDED in plants:
+        more = "" if plants == {RECORDED} else ", and simulated with MuJoCo"
+        data = f"Recorded on robots{more}."
     against = ["noise-free torque of held-out motions"] if plants != {RECORDED} else []
     against += ["measured torque of held-out recordings"] if RECORDED in plants else []
     lines = [
-        ("Data", _data(cells)),
+        ("Data", data),
         ("Task", _setting(defaults, cells, "task")),
         ("Plant", plant + _PLANTS.get(plant, "")),
-        ("Prior knowledge given to methods", _prior(_setting(defaults, cells, "prior"))),
+        ("Prior knowledge given to methods", prior),
         *((title, _setting(defaults, cells, key)) for title, key in _SETTINGS),
-        ("Repeats", _repeats(suite.get("run") or {})),
+        ("Repeats", count_text(runs["repeats"], "noise draw") if "repeats" in runs else ""),
         ("Payload and link tasks", "Payload and link tasks take the rest of the robot as known."),
         ("Scores", f"Torque errors are against the {' or the '.join(against)}."),
     ]
     return [line for line in lines if line[1]]
 
 
-def _data(cells: "pd.DataFrame") -> str:
-    plants = set(map(label, cells.get("plant", ())))
-    if RECORDED not in plants:
-        return "Simulated with MuJoCo; no real robot was measured."
-    alone = plants == {RECORDED}
-    return f"Recorded on robots{'' if alone else ', and simulated with MuJoCo'}."
-
-
-def _prior(text: str) -> str:
-    # A prior that is drawn around the truth names the deviation of a mass.
-    return text + " (standard deviations of a draw around the truth)" if "mass" in text else text
-
-
-def _repeats(run: Mapping[str, Any]) -> str:
-    if "repeats" not in run:
-        return ""
-    return count_text(run["repeats"], "noise draw")
-
-
 def _setting(defaults: Mapping[str, Any], cells: "pd.DataFrame", key: str) -> str:
     """Choices of a setting: those that the suite declares, else those that the cells have."""
-    if key in defaults:
-        return "; ".join(_declared(key, defaults[key]))
-    return "; ".join(dict.fromkeys(map(label, cells.get(key, ()))))
-
-
-def _declared(key: str, value: Any) -> list[str]:
+    if key not in defaults:
+        return "; ".join(dict.fromkeys(map(label, cells.get(key, ()))))
+    value, empty = defaults[key], _EMPTY.get(key, "default")
     choices = value if isinstance(value, list) else [value]
-    empty = _EMPTY.get(key, "default")
-    return [empty if choice == {} else label(choice) for choice in choices]
+    return "; ".join(empty if choice == {} else label(choice) for choice in choices)
 
 
 JOINT_COLUMNS: Final = ("id", "name", "relative", "small")
@@ -136,21 +119,16 @@ def joint_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> list[JointErr
     joints = joints if "id" in joints else joints.rename(columns={"cell": "id"})
     if joints.empty or not {"id", "name", "relative"} <= set(joints.columns):
         return []
-    methods = cells[["id", "robot"]].assign(method=_methods(cells))
+    # The estimator of each cell and its noise where there are several: exact data would hide what
+    # noise does.
+    names, noises = list(map(label, cells["estimator"])), list(map(label, cells.get("noise", ())))
+    if len(set(noises)) > 1:
+        names = [f"{name}, {noise}" for name, noise in zip(names, noises, strict=True)]
+    methods = cells[["id", "robot"]].assign(method=names)
     # Joints may carry fields of their cell, too; those of the cells are the ones to group by.
     columns = [name for name in JOINT_COLUMNS if name in joints.columns]
     merged = joints[columns].merge(methods, on="id").drop(columns="id")
     return [_errors_of_robot(*group) for group in merged.groupby("robot", sort=False)]
-
-
-def _methods(cells: "pd.DataFrame") -> list[str]:
-    """The estimator of each cell and its noise where there are several: exact data would hide
-    what noise does."""
-    names = list(map(label, cells["estimator"]))
-    noises = list(map(label, cells.get("noise", ())))
-    if len(set(noises)) < 2:
-        return names
-    return [f"{name}, {noise}" for name, noise in zip(names, noises, strict=True)]
 
 
 def _errors_of_robot(robot: Any, group: "pd.DataFrame") -> JointErrors:
@@ -170,8 +148,5 @@ def _median_and_worst(errors: tuple[float, float] | None) -> str:
     """Median (largest), each in its own notation: a table holds exact and noisy cells."""
     if errors is None or math.isnan(errors[0]):
         return ABSENT
-    return f"{_two_digits(errors[0])} ({_two_digits(errors[1])})"
-
-
-def _two_digits(value: Any) -> str:
-    return notation([float(value)], 2).html_text(float(value))
+    median, worst = (notation([float(x)], 2).html_text(float(x)) for x in errors)
+    return f"{median} ({worst})"

@@ -1,12 +1,13 @@
 """What a table shows: choice of its cells, rows, columns and metrics."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.evaluation.intervals import with_level
 from sysid_bench.metrics import METRICS, metric_of
 from sysid_bench.reporting.tables import INTERVALS, METRIC, STATISTICS, Key
 from sysid_bench.types import Metric
@@ -32,7 +33,9 @@ def label(value: Any) -> str:
     if type(value) is str:
         return value
     if isinstance(value, Mapping):
-        return ", ".join(_parts(value)) or "none"
+        # The name of what is used stands without its key.
+        parts = [(key, label(part)) for key, part in value.items() if part is not None]
+        return ", ".join(text if key == "use" else f"{key} {text}" for key, text in parts) or "none"
     if isinstance(value, (list, tuple, np.ndarray)):
         return " ".join(map(label, value))
     if isinstance(value, (float, np.floating)):
@@ -41,30 +44,19 @@ def label(value: Any) -> str:
     return "none" if value is None else str(value)
 
 
-def _parts(value: Mapping[Any, Any]) -> Iterator[str]:
-    """ "key value" of each key that is set; the name of what is used stands without its key."""
-    for key, part in value.items():
-        if part is not None:
-            yield label(part) if key == "use" else f"{key} {label(part)}"
-
-
 def with_labels(cells: "pd.DataFrame") -> "pd.DataFrame":
     """The same cells with text in every field that can make a row or column."""
-    columns = [cells[name] for name in cells.columns if _has_labels(cells[name])]
-    texts = [str(column.name) for column in columns if set(map(type, column)) != {str}]
+    texts = []
+    for name in cells.columns:
+        types = set(map(type, cells[name].dropna()))
+        # A column of booleans is a metric, not a label.
+        is_boolean = bool(types) and types <= {bool, np.bool_}
+        is_label = name in (*SWEEPABLE, "status") or (
+            cells[name].dtype == object and not is_boolean
+        )
+        if is_label and set(map(type, cells[name])) != {str}:
+            texts.append(str(name))
     return cells.assign(**{name: list(map(label, cells[name])) for name in texts})
-
-
-def _has_labels(column: "pd.Series") -> bool:
-    if column.name in (*SWEEPABLE, "status"):
-        return True
-    return column.dtype == object and not _is_boolean(column)
-
-
-def _is_boolean(column: "pd.Series") -> bool:
-    """True where all values of a column are booleans: a metric, not a label."""
-    types = set(map(type, column.dropna()))
-    return bool(types) and types <= {bool, np.bool_}
 
 
 def select_rows(
@@ -76,41 +68,24 @@ def select_rows(
     if isinstance(select, str):
         if choose is None:
             raise UsageError(f"Give `choose` to evaluate the expression {select!r}.")
-        cells = cells[[choose(select, row) for row in _rows(cells)]]
+        kept: list[bool] = []
+        for start in range(0, len(cells), _BLOCK):
+            for row in cells[start : start + _BLOCK].to_dict("records"):
+                kept.append(choose(select, {str(key): value for key, value in row.items()}))
+        cells = cells[kept]
     elif isinstance(select, Mapping):
-        cells = _with_values(cells, select)
+        for field, value in select.items():
+            if field not in cells.columns:
+                raise unknown_name("field of the cells", str(field), map(str, cells.columns))
+            allowed = set(map(label, value if isinstance(value, list) else [value]))
+            cells = cells[[text in allowed for text in map(label, cells[field])]]
     if len(cells) == 0:
         raise UsageError(f"The table {spec.get('name', '')!r} has no cell (select: {select!r}).")
     return cells
 
 
-def _rows(cells: "pd.DataFrame") -> Iterator[dict[str, Any]]:
-    """Yield the cells as mappings, which are made for a block at a time."""
-    for start in range(0, len(cells), _BLOCK):
-        for row in cells[start : start + _BLOCK].to_dict("records"):
-            yield {str(key): value for key, value in row.items()}
-
-
-def _with_values(cells: "pd.DataFrame", select: Mapping[str, Any]) -> "pd.DataFrame":
-    """Cells whose field has the value, or one of the list of values, for every field."""
-    for field, value in select.items():
-        if field not in cells.columns:
-            raise unknown_name("field of the cells", str(field), map(str, cells.columns))
-        allowed = set(map(label, value if isinstance(value, list) else [value]))
-        cells = cells[[text in allowed for text in map(label, cells[field])]]
-    return cells
-
-
 _SPEC_KEYS: Final = (
-    "name",
-    "title",
-    "rows",
-    "columns",
-    "cells",
-    "metrics",
-    "best",
-    "select",
-    "effects",
+    *("name", "title", "rows", "columns", "cells", "metrics", "best", "select", "effects"),
 )
 _CELL_KEYS: Final = ("metric", "stat", "interval")
 
@@ -157,10 +132,18 @@ def layout_of(
             f"The {where} has the keys {', '.join(spec)}; "
             "give it rows = [...] and metrics = [...] or cells = { metric = ... }."
         )
-    _check_fields(spec, names, cells, metrics, where)
-    _check_choices(spec)
-    records = tuple(metric_of(name, metrics) for name in names)
+    fields, hint = list(map(str, cells.columns)), f"Named in {where}."
+    numeric = [field for field in fields if cells[field].dtype.kind in "bif"]
+    used = (*spec["rows"], *spec.get("columns", ()), "status")
+    _all_known("field of the cells", used, fields, hint=hint)
+    # A metric may be absent from the cells: where every cell failed, no row has one.
+    _all_known("metric of the cells", names, numeric, {*fields, *metrics}, hint)
     wanted = spec.get("cells", {})
+    _all_known("statistic", [wanted.get("stat", "median")], STATISTICS)
+    _all_known("interval", [wanted.get("interval", "none")], INTERVALS)
+    _all_known("way to mark the best", [spec.get("best", "none")], BESTS)
+    found = (metric_of(name, metrics) for name in names)
+    records = tuple(replace(metric, title=with_level(metric.title)) for metric in found)
     return TableLayout(
         name=str(spec.get("name", names[0])),
         title=str(spec.get("title") or ", ".join(metric.title for metric in records)),
@@ -178,28 +161,6 @@ def metric_names(spec: Mapping[str, Any]) -> tuple[str, ...]:
     """The metrics of a table: `metrics`, or the only one of `cells`."""
     only = spec.get("cells", {}).get("metric")
     return tuple(dict.fromkeys(spec.get("metrics") or filter(None, [only])))
-
-
-def _check_fields(
-    spec: Mapping[str, Any],
-    names: Key,
-    cells: "pd.DataFrame",
-    metrics: Mapping[str, Metric],
-    where: str,
-) -> None:
-    """A metric may be absent from the cells: where every cell failed, no row has one."""
-    fields, hint = list(map(str, cells.columns)), f"Named in {where}."
-    numeric = [field for field in fields if cells[field].dtype.kind in "bif"]
-    wanted = (*spec["rows"], *spec.get("columns", ()), "status")
-    _all_known("field of the cells", wanted, fields, hint=hint)
-    _all_known("metric of the cells", names, numeric, {*fields, *metrics}, hint)
-
-
-def _check_choices(spec: Mapping[str, Any]) -> None:
-    wanted = spec.get("cells", {})
-    _all_known("statistic", [wanted.get("stat", "median")], STATISTICS)
-    _all_known("interval", [wanted.get("interval", "none")], INTERVALS)
-    _all_known("way to mark the best", [spec.get("best", "none")], BESTS)
 
 
 def _all_known(

@@ -1,10 +1,9 @@
 """Figures of signals: torques, curves and spectra along a log; differences of two regressors."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import groupby
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,10 +13,9 @@ from sysid_bench.reporting.figures import (
     DOUBLE,
     METADATA,
     STYLE,
+    Drawing,
     new_figure,
     plain,
-    svg_of,
-    write_figure,
 )
 from sysid_bench.types import Array, CellData, Curve
 
@@ -44,18 +42,9 @@ class StoredTorque:
     units: tuple[str, ...]
 
 
-def torque_figure(path: Path, sample: StoredTorque, width: float = DOUBLE) -> Path:
-    """Draw torques (width in inches) into a .pdf, .png or .svg file, the same bytes every time;
-    residuals have an axis of their own. Raises UsageError for another suffix."""
-    return write_figure(lambda: _draw_torques(sample, width), path)
-
-
-def torque_svg(sample: StoredTorque) -> str:
-    """Draw the same figure as an <svg> element to put into a page."""
-    return svg_of(lambda: _draw_torques(sample, DOUBLE))
-
-
-def _draw_torques(sample: StoredTorque, width: float) -> "Figure":
+@Drawing
+def torque_figure(sample: StoredTorque, width: float = DOUBLE) -> "Figure":
+    """Draw measured and predicted torques; residuals have an axis of their own."""
     count, is_wide = len(sample.rows), width > _WIDE
     picture = new_figure(HEIGHT * count * (1.0 if is_wide else 1.5) + 0.4, width)
     if is_wide:
@@ -65,25 +54,20 @@ def _draw_torques(sample: StoredTorque, width: float) -> "Figure":
         stacked = picture.subplots(2 * count, 1, sharex=True, squeeze=False, height_ratios=heights)
         grid = stacked.reshape(count, 2)
     for i, (torques, residuals) in enumerate(grid):
-        _draw_joint(torques, residuals, sample, i)
+        measured, predicted = sample.measured[:, i], sample.predicted[:, i]
+        torques.plot(sample.t, measured, color=COLOURS[0], label="measured")
+        torques.plot(sample.t, predicted, "--", color=COLOURS[1], label="predicted")
+        residuals.plot(sample.t, measured - predicted, color=COLOURS[6], linewidth=0.5)
+        torques.set_ylabel(f"{plain(sample.rows[i])} [{plain(sample.units[i])}]")
+        residuals.set_ylabel("residual")
+        for axes in (torques, residuals):
+            axes.margins(x=0)
+            axes.spines[["top", "right"]].set_visible(False)
     for axes in grid[-1] if is_wide else grid[-1, 1:]:
         axes.set_xlabel("time [s]")
     lines, names = grid[0, 0].get_legend_handles_labels()
     picture.legend(lines, names, ncols=2, loc="outside upper right", frameon=False)
     return picture
-
-
-def _draw_joint(torques: "Axes", residuals: "Axes", sample: StoredTorque, i: int) -> None:
-    """Measured and predicted torque of a joint, and their difference on the other axes."""
-    measured, predicted = sample.measured[:, i], sample.predicted[:, i]
-    torques.plot(sample.t, measured, color=COLOURS[0], label="measured")
-    torques.plot(sample.t, predicted, "--", color=COLOURS[1], label="predicted")
-    residuals.plot(sample.t, measured - predicted, color=COLOURS[6], linewidth=0.5)
-    torques.set_ylabel(f"{plain(sample.rows[i])} [{plain(sample.units[i])}]")
-    residuals.set_ylabel("residual")
-    for axes in (torques, residuals):
-        axes.margins(x=0)
-        axes.spines[["top", "right"]].set_visible(False)
 
 
 _HEIGHT: Final = 0.85  # inches an axis
@@ -98,22 +82,26 @@ class StoredCurves:
     curves: tuple[Curve, ...]
 
 
-def curve_figure(path: Path, sample: StoredCurves, width: float = DOUBLE) -> Path:
-    """Draw curves (width in inches) into a .pdf, .png or .svg file, the same bytes every time.
-
-    Raises UsageError for another suffix.
-    """
-    return write_figure(lambda: _draw_curves(sample, width), path)
-
-
-def _draw_curves(sample: StoredCurves, width: float) -> "Figure":
+@Drawing
+def curve_figure(sample: StoredCurves, width: float = DOUBLE) -> "Figure":
+    """Draw curves, two beside each other; a name has one colour on all axes."""
     rows = -(-len(sample.curves) // _COLUMNS)
     picture = new_figure(_HEIGHT * rows + 0.5, width)
     grid = picture.subplots(rows, _COLUMNS, sharex=True, squeeze=False)
     names = list(dict.fromkeys(name for curve in sample.curves for name in curve.series))
     lines: dict[str, Any] = {}
     for axes, curve in zip(grid.flat, sample.curves, strict=False):
-        lines |= _draw_curve(axes, curve, names)
+        for name, values in curve.series.items():
+            colour = COLOURS[names.index(name) % len(COLOURS)]
+            (lines[name],) = axes.plot(curve.t, values, color=colour)
+        for limit in curve.limits or ():
+            axes.axhline(limit, color="#bbbbbb", linestyle="--", linewidth=0.6)
+        if curve.unit:
+            axes.set_ylabel(f"{plain(curve.name)} [{plain(curve.unit)}]")
+        else:
+            axes.set_title(plain(curve.name), loc="left", fontsize=7, pad=2)
+        axes.margins(x=0)
+        axes.spines[["top", "right"]].set_visible(False)
     for axes in grid.flat[len(sample.curves) :]:
         axes.set_visible(False)
     for axes in grid[-1]:
@@ -124,23 +112,6 @@ def _draw_curves(sample: StoredCurves, width: float) -> "Figure":
             named.values(), named, ncols=len(named), loc="outside upper right", frameon=False
         )
     return picture
-
-
-def _draw_curve(axes: "Axes", curve: Curve, names: list[str]) -> dict[str, Any]:
-    """The lines of a curve by name; a name has one colour on all axes."""
-    lines = {}
-    for name, values in curve.series.items():
-        colour = COLOURS[names.index(name) % len(COLOURS)]
-        (lines[name],) = axes.plot(curve.t, values, color=colour)
-    for limit in curve.limits or ():
-        axes.axhline(limit, color="#bbbbbb", linestyle="--", linewidth=0.6)
-    if curve.unit:
-        axes.set_ylabel(f"{plain(curve.name)} [{plain(curve.unit)}]")
-    else:
-        axes.set_title(plain(curve.name), loc="left", fontsize=7, pad=2)
-    axes.margins(x=0)
-    axes.spines[["top", "right"]].set_visible(False)
-    return lines
 
 
 COLUMNS: Final = 4
@@ -157,35 +128,26 @@ class ResidualSpectra:
     densities: Mapping[str, Array]
 
 
-def spectra_figure(path: Path, spectra: ResidualSpectra, width: float = DOUBLE) -> Path:
-    """Draw spectra into a .pdf, .png or .svg file, the same bytes every time. Raises UsageError for
-    another suffix."""
-    return write_figure(lambda: _draw_spectra(spectra, width), path)
-
-
-def _draw_spectra(spectra: ResidualSpectra, width: float) -> "Figure":
-    count = len(spectra.joints)
+@Drawing
+def spectra_figure(spectra: ResidualSpectra, width: float = DOUBLE) -> "Figure":
+    """Draw the spectra of each joint."""
+    count, styles = len(spectra.joints), ("-", "--", ":")
     lines = -(-count // COLUMNS)
     picture = new_figure(1.25 * lines + 0.35, width)
     grid = picture.subplots(lines, COLUMNS, sharex=True, squeeze=False)
-    for j, axes in enumerate(grid.ravel()):
-        if j >= count:
-            axes.set_axis_off()
-            continue
-        _draw_spectrum(axes, spectra, j)
+    for axes in grid.ravel()[count:]:
+        axes.set_axis_off()
+    for j, axes in enumerate(grid.ravel()[:count]):
+        for k, (source, density) in enumerate(spectra.densities.items()):
+            axes.loglog(spectra.f, density[:, j], styles[k % 3], color=COLOURS[k],
+                        label=plain(source))  # fmt: skip
+        axes.set_title(plain(spectra.joints[j]), fontsize=7)
+        axes.spines[["top", "right"]].set_visible(False)
     for axes in grid[-1]:
         axes.set_xlabel("frequency [Hz]")
     handles, names = grid[0, 0].get_legend_handles_labels()
     picture.legend(handles, names, ncols=len(names), loc="outside upper right", frameon=False)
     return picture
-
-
-def _draw_spectrum(axes: "Axes", spectra: ResidualSpectra, j: int) -> None:
-    styles: Sequence[str] = ("-", "--", ":")
-    for k, (source, density) in enumerate(spectra.densities.items()):
-        axes.loglog(spectra.f, density[:, j], styles[k % 3], color=COLOURS[k], label=plain(source))
-    axes.set_title(plain(spectra.joints[j]), fontsize=7)
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 _PAPER, _INK, _LINE = "#0d0d0d", "#e4e8ee", "#555555"

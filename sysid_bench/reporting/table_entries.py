@@ -1,7 +1,7 @@
 """Entries of a table: statistics of the cells that share their labels, and their intervals."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,19 +32,15 @@ def interval_of(interval: str, stat: str, values: np.ndarray, repeats: np.ndarra
         return None, None
     if interval == "ci95":
         return _bootstrap(stat, values, repeats)
-    low, high = _spread(interval, stat, values)
-    return float(low), float(high)
-
-
-def _spread(interval: str, stat: str, values: np.ndarray) -> tuple[float, float]:
-    """Ends of an interval that describes the values, not the accuracy of their statistic."""
+    # The others describe the values, not the accuracy of their statistic.
     if interval == "iqr":
         low, high = np.percentile(values, [25, 75])
-        return low, high
-    if interval == "range":
-        return values.min(), values.max()
-    centre, spread = statistic_of(stat, values), values.std(ddof=1)
-    return centre - spread, centre + spread
+    elif interval == "range":
+        low, high = values.min(), values.max()
+    else:
+        centre, spread = statistic_of(stat, values), values.std(ddof=1)
+        low, high = centre - spread, centre + spread
+    return float(low), float(high)
 
 
 def _bootstrap(stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
@@ -86,15 +82,11 @@ def table_entries(
     rows, entries = len(layout.rows), {}
     for metric in layout.metrics:
         name = (metric.name,) if layout.has_metric_columns else ()
-        for labels, group in _groups(cells, layout.fields):
+        for found, group in cells.groupby(list(layout.fields), sort=False, dropna=False):
+            labels = tuple(map(label, found if isinstance(found, tuple) else (found,)))
             key = labels[:rows], labels[rows:] + name
             entries[key] = _entry(group, metric, layout, parameters)
     return entries
-
-
-def _groups(cells: "pd.DataFrame", fields: Key) -> Iterator[tuple[Key, "pd.DataFrame"]]:
-    for key, group in cells.groupby(list(fields), sort=False, dropna=False):
-        yield tuple(map(label, key if isinstance(key, tuple) else (key,))), group
 
 
 def _entry(
@@ -104,49 +96,28 @@ def _entry(
     failures = group.loc[group["status"] != "ok", "status"].value_counts(sort=False)
     counts = {str(kind): int(number) for kind, number in failures.items()}
     if metric.level in OF_REPEATS:
-        return _of_repeats(ok, counts, metric, layout.interval, parameters)
+        # A figure of all repeats, the cells each one of one setting; a scatter needs the single
+        # repeats, since the row of a cell has no parameters.
+        figure = None if parameters is None else repeat_statistic(metric.name, ok, parameters)
+        if figure is None:
+            return Entry(None, None, None, 0, counts, len(ok))
+        ends: Interval = figure[1:] if layout.interval != "none" else (None, None)
+        return Entry(figure[0], *ends, len(ok), counts)
     # Where every cell failed, no row has the metric at all.
     given = ok.get(metric.name, [None] * len(ok))
     if metric.text:
-        return _of_texts([value for value in given if isinstance(value, str)], len(ok), counts)
+        # One text where all cells have the same, else each with its count.
+        texts = [value for value in given if isinstance(value, str)]
+        met = Counter(texts)
+        each = met if len(met) == 1 else (f"{word} {n}" for word, n in met.most_common())
+        missing = len(ok) - len(texts)
+        return Entry(None, None, None, len(texts), counts, missing, text=", ".join(each))
     values = metric.scale * np.array(list(map(_number, given)), dtype=float)
-    return _of_numbers(ok, values, counts, layout)
-
-
-def _of_numbers(
-    ok: "pd.DataFrame", values: np.ndarray, failures: Mapping[str, int], layout: TableLayout
-) -> Entry:
-    """Statistic and interval of the finite values; the others count as missing."""
-    repeats = np.asarray(ok.get("repeat", range(len(ok))))
-    finite = np.isfinite(values)
+    finite, repeats = np.isfinite(values), np.asarray(ok.get("repeat", range(len(ok))))
     kept = values[finite]
     low, high = interval_of(layout.interval, layout.stat, kept, repeats[finite])
     value = statistic_of(layout.stat, kept) if len(kept) else None
-    return Entry(value, low, high, len(kept), failures, len(values) - len(kept))
-
-
-def _of_repeats(
-    ok: "pd.DataFrame",
-    failures: Mapping[str, int],
-    metric: Metric,
-    interval: str,
-    parameters: "pd.DataFrame | None",
-) -> Entry:
-    """The figure of all repeats of a group, its cells each one repeat of one setting."""
-    # A scatter needs the single repeats: the row of a cell has no parameters.
-    figure = None if parameters is None else repeat_statistic(metric.name, ok, parameters)
-    if figure is None:
-        return Entry(None, None, None, 0, failures, len(ok))
-    value, *ends = figure
-    low, high = ends if interval != "none" else (None, None)
-    return Entry(value, low, high, len(ok), failures)
-
-
-def _of_texts(texts: Sequence[str], cells: int, failures: Mapping[str, int]) -> Entry:
-    """One text where all cells have the same, else each with its count."""
-    met = Counter(texts)
-    text = ", ".join(met if len(met) == 1 else (f"{word} {n}" for word, n in met.most_common()))
-    return Entry(None, None, None, len(texts), failures, cells - len(texts), text=text)
+    return Entry(value, low, high, len(kept), counts, len(values) - len(kept))
 
 
 def _number(value: Any) -> float:

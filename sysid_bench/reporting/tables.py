@@ -10,7 +10,7 @@ from string import ascii_lowercase
 from types import MappingProxyType
 from typing import Final
 
-from sysid_bench.evaluation.intervals import LEVEL_TEXT
+from sysid_bench.evaluation.intervals import level_text, with_level
 from sysid_bench.types import Metric
 from sysid_bench.words import OF_REPEATS
 
@@ -108,7 +108,7 @@ INTERVALS: Final[Mapping[str, str]] = MappingProxyType(
         "iqr": "interquartile range",
         "std": "plus and minus one standard deviation",
         "range": "smallest and largest value",
-        "ci95": f"{LEVEL_TEXT} bootstrap interval over repeats",
+        "ci95": "95 % bootstrap interval over repeats",
     }
 )
 
@@ -262,14 +262,14 @@ class Table:
         if self.metric.level not in OF_REPEATS:
             return f": {STATISTICS[self.stat]}{self._spread}"
         if self.metric.level == "interval-repeats":
-            return f", with {LEVEL_TEXT} interval" if self.interval != "none" else ""
+            return f", with {level_text()} interval" if self.interval != "none" else ""
         # A figure of all repeats is not a statistic of cells: it has an interval of its own.
-        ends = f", with {LEVEL_TEXT} bootstrap interval" if self.interval != "none" else ""
+        ends = f", with {level_text()} bootstrap interval" if self.interval != "none" else ""
         return f": over all repeats and parameters{ends}"
 
     @property
     def _spread(self) -> str:
-        return f" with {INTERVALS[self.interval]}" if self.interval != "none" else ""
+        return f" with {with_level(INTERVALS[self.interval])}" if self.interval != "none" else ""
 
     @property
     def _legend(self) -> str:

@@ -24,11 +24,22 @@ def table_lines(head: Sequence[str], rows: Lines, right: Sequence[bool], width: 
     number.
     """
     table = [head, *rows]
-    widths, least = _natural(table, right), _least(table, right)
-    # Columns before the first number name the row, and stand in each part.
+    natural, least = _natural(table, right), []
+    # Widths down to which the columns can be wrapped; the first one keeps its words whole.
+    for i, size in enumerate(natural):
+        longest = max(_longest_word(row[i]) for row in table)
+        kept = longest if i == 0 else min(longest, _LONGEST_WORD)
+        least.append(size if right[i] else min(size, max(kept, _NARROWEST)))
+    # Columns before the first number name the row, and stand in each part; of the others as many
+    # as fit beside them.
     keys = list(right).index(True) if True in right[1:] and not right[0] else 1
-    parts = _parts(least, keys, width)
-    return "\n\n".join(_draw(table, part, right, widths, least, width) for part in parts)
+    first = list(range(min(keys, len(least))))
+    parts: list[list[int]] = [[]]
+    for i in range(len(first), len(least)):
+        if parts[-1] and _total(least[j] for j in (*first, *parts[-1], i)) > width:
+            parts.append([])
+        parts[-1].append(i)
+    return "\n\n".join(_draw(table, first + part, right, natural, least, width) for part in parts)
 
 
 def _natural(table: Lines, right: Sequence[bool]) -> list[int]:
@@ -42,29 +53,8 @@ def _natural(table: Lines, right: Sequence[bool]) -> list[int]:
     return [max(pair) for pair in zip(longest, heads, strict=True)]
 
 
-def _least(table: Lines, right: Sequence[bool]) -> list[int]:
-    """Widths down to which the columns can be wrapped; the first one keeps its words whole."""
-    least = []
-    for i, natural in enumerate(_natural(table, right)):
-        longest = max(_longest_word(row[i]) for row in table)
-        kept = longest if i == 0 else min(longest, _LONGEST_WORD)
-        least.append(natural if right[i] else min(natural, max(kept, _NARROWEST)))
-    return least
-
-
 def _longest_word(text: str) -> int:
     return max(map(len, text.split()), default=0)
-
-
-def _parts(least: Sequence[int], keys: int, width: int) -> list[list[int]]:
-    """Columns of each part, as many as fit beside the first `keys`."""
-    first = list(range(min(keys, len(least))))
-    parts: list[list[int]] = [[]]
-    for i in range(len(first), len(least)):
-        if parts[-1] and _total(least[j] for j in (*first, *parts[-1], i)) > width:
-            parts.append([])
-        parts[-1].append(i)
-    return [first + part for part in parts]
 
 
 def _total(widths: Iterable[int]) -> int:
@@ -84,24 +74,19 @@ def _draw(
     def of_part(values: Sequence[Any]) -> list[Any]:
         return [values[i] for i in part]
 
-    sizes = _shrunk(of_part(widths), of_part(least), width)
-    sides = of_part(right)
+    sizes, smallest, sides = map(of_part, (widths, least, right))
+    # The widest column is made narrower first, as far as columns can be wrapped.
+    while _total(sizes) > width:
+        loose = [i for i, size in enumerate(sizes) if size > smallest[i]]
+        if not loose:
+            break
+        sizes[max(loose, key=sizes.__getitem__)] -= 1
     head, *rows = map(of_part, table)
     lines = list(_line(head, sizes, sides, is_head=True))
     lines.append("─" * min(_total(sizes), width))
     for row in rows:
         lines += _line(row, sizes, sides)
     return "\n".join(lines)
-
-
-def _shrunk(widths: list[int], least: Sequence[int], width: int) -> list[int]:
-    """Widths within a width as far as columns can be wrapped, the widest made narrower first."""
-    while _total(widths) > width:
-        loose = [i for i, pair in enumerate(zip(widths, least, strict=True)) if pair[0] > pair[1]]
-        if not loose:
-            return widths
-        widths[max(loose, key=widths.__getitem__)] -= 1
-    return widths
 
 
 def _line(

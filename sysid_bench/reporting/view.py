@@ -16,14 +16,8 @@ def view(path: Path, web: bool = False) -> subprocess.Popen[bytes]:
         raise UsageError(
             f"The recording {str(path)!r} does not exist; make it with sysid-bench record."
         )
-    command = [
-        str(rerun_tool()),
-        "--bind",
-        "127.0.0.1",
-        *(["--web-viewer"] if web else []),
-        str(path),
-    ]
-    return subprocess.Popen(command)
+    more = ["--web-viewer"] if web else []
+    return subprocess.Popen([str(rerun_tool()), "--bind", "127.0.0.1", *more, str(path)])
 
 
 def rerun_tool() -> Path:

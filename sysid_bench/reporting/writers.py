@@ -71,21 +71,16 @@ def to_csv(table: Table) -> str:
     # The name of the metric is in the column "metric" in any case.
     fields = [field for field in table.column_fields if field != METRIC]
     entries = ((row, column, table.entries.get((row, column))) for row, column in table.indices)
-    lines = (
-        [*row, *column[: len(fields)], *_values(table, column, entry)]
-        for row, column, entry in entries
-        if entry is not None
-    )
-    return csv_text([[*table.row_fields, *fields, *_HEAD], *lines])
-
-
-def _values(table: Table, column: Key, entry: Entry) -> list[object]:
-    """Values below `_HEAD`."""
-    metric = table.metric_of(column)
-    failures = " ".join(f"{kind}={count}" for kind, count in entry.failures.items())
-    kind = [metric.name, metric.unit, table.stat, table.interval]
-    numbers = [entry.text or entry.value, entry.low, entry.high, entry.n, entry.n_failed]
-    return [*kind, *numbers, failures, entry.missing, int(entry.best), metric.better or ""]
+    lines: list[list[object]] = [[*table.row_fields, *fields, *_HEAD]]
+    for row, column, entry in entries:
+        if entry is not None:
+            metric = table.metric_of(column)
+            failures = " ".join(f"{kind}={count}" for kind, count in entry.failures.items())
+            kind = [metric.name, metric.unit, table.stat, table.interval]
+            numbers = [entry.text or entry.value, entry.low, entry.high, entry.n, entry.n_failed]
+            marks = [failures, entry.missing, int(entry.best), metric.better or ""]
+            lines.append([*row, *column[: len(fields)], *kind, *numbers, *marks])
+    return csv_text(lines)
 
 
 def to_json(table: Table) -> str:

@@ -19,8 +19,6 @@ from sysid_bench.apps.actuators.delay_profile import delay_grid, delay_profile, 
 from sysid_bench.apps.actuators.drive_estimate import (
     DriveEstimate,
     identify_drives,
-    left_out_share,
-    repeat_interval,
 )
 from sysid_bench.apps.actuators.drive_rows import drive_rows, pooled_rows
 from sysid_bench.errors import UsageError
@@ -249,15 +247,3 @@ def test_correlated_residuals_count_as_fewer() -> None:
     assert independent_samples(white, 200.0)[0] > 2000
     assert independent_samples(slow, 200.0)[0] == pytest.approx(400, rel=0.4)
     assert independent_samples(white, 1.0)[0] == 4000  # half a second holds no lag
-
-
-def test_ranges_between_files_hold_a_new_one() -> None:
-    rng = np.random.default_rng(7)
-    for n in (3, 6, 12):
-        values = rng.normal(3.0, 0.4, size=(n, 400))
-        ranges = repeat_interval(values)
-        new = rng.normal(3.0, 0.4, size=400)
-        assert np.mean((new > ranges.low) & (new < ranges.high)) == pytest.approx(0.95, abs=0.04)
-        assert left_out_share(values) == pytest.approx(0.95, abs=0.04)
-    with pytest.raises(UsageError, match="two files"):
-        repeat_interval(np.zeros((1, 3)))

@@ -13,12 +13,13 @@ from sysid_bench.commands.identify import identify
 from sysid_bench.commands.values import parse_noise, parse_payload, parse_terms
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.experiments.tasks.task import unknown_bodies
+from sysid_bench.harness.run import run
 from sysid_bench.identifiability.base_map import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.spatial import NAMES
 from tests.robots import NAMED, named_robot
-from tests.signals.logs import recorded, write
+from tests.signals.logs import recorded, write, write_two
 
 from .conftest import Run
 
@@ -104,6 +105,38 @@ def test_identify_prints_the_fields_of_the_contract(cli: Run) -> None:
     assert result["rmse_test"] < 1e-9
     assert "wrist_3_link.m" in result["warnings"][-1]
     assert result["joints"]["wrist_3_joint"]["viscous"]["value"] == pytest.approx(1.0)
+
+
+SUITE = """
+schema = 1
+name = "same"
+seed = 0
+[defaults]
+noise = { tau = "1 %" }
+[[robot]]
+use = "scara"
+[[log]]
+robot = "ur5"
+train = ["run.toml"]
+test = ["other.toml"]
+[[estimator]]
+use = "wls"
+"""
+
+
+def test_an_answer_is_the_row_of_a_cell_with_defaults(tmp_path: Path) -> None:
+    write_two(tmp_path)
+    (tmp_path / "same.toml").write_text(SUITE)
+    rows = run(tmp_path / "same.toml", tmp_path / "out", jobs=1).folder.rows().rows.values()
+    answers = {
+        "scara": identify("scara", estimator="wls", noise={"tau": "1 %"}),
+        "ur5": identify("ur5", log=tmp_path / "run.toml", test=tmp_path / "other.toml"),
+    }
+    assert {row["robot"] for row in rows} == set(answers)
+    for row in rows:
+        assert row["status"] == "ok"
+        for name, value in answers[row["robot"]].scores.items():
+            assert value == row[name], (row["robot"], name)
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda", "z1", "kinova"])

@@ -226,13 +226,17 @@ def test_every_option_stands_in_a_page() -> None:
 
 
 def test_a_person_can_hold_the_options() -> None:
-    options = [
-        param
-        for _, command in commands(main)
+    """Few of them, each with a sentence."""
+    records = [
+        (name, param.get_help_record(click.Context(command)))
+        for name, command in commands(main)
         for param in command.params
         if isinstance(param, click.Option)
     ]
-    assert len(options) <= 190
+    assert len(records) <= 190
+    for name, record in records:
+        assert record is not None, name
+        assert record[1].partition("  [")[0].endswith("."), f"{name} {record}"
 
 
 @pytest.mark.parametrize("name", _requests())

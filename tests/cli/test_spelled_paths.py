@@ -50,14 +50,16 @@ def model(tmp_path: Path) -> Path:
 def test_an_answer_is_the_same_for_each_spelling_of_a_path(
     verb: str, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = []
-    for folder, spelled in (
+    """All verbs find their model in the same way: one of them tries all spellings."""
+    spellings = [
         (model.parent, "arm.xml"),
+        (tmp_path / "other", "link.xml"),
         (model.parent, "./../arms/arm.xml"),
         (model.parent.parent, "arms/arm.xml"),
         (tmp_path, f"file:{model}"),
-        (tmp_path / "other", "link.xml"),
-    ):
+    ]
+    found = []
+    for folder, spelled in spellings if verb == "basis" else spellings[:2]:
         monkeypatch.chdir(folder)
         found.append(answer(VERBS[verb](spelled, tmp_path)))
     assert all(one == found[0] for one in found[1:])

@@ -50,23 +50,11 @@ def test_crosscheck_of_a_broken_file_is_a_verdict(cli: Run, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    "kind",
-    ["robots", "payloads", "tasks", "excitations", "estimators", "suites", "simulations", "plants"],
+    ("name", "kind"),
+    [("panda", "robot"), ("box-2kg", "payload"), ("ols", "estimator"), ("ok", "status")],
 )
-def test_list_gives_names_and_titles(cli: Run, kind: str) -> None:
-    done = cli("list", kind, "--json")
-    assert done.returncode == 0, done.stderr
-    entries = json.loads(done.stdout)
-    assert entries
-    assert all(entry["name"] and "title" in entry for entry in entries)
-
-
-def test_show_knows_every_kind(cli: Run) -> None:
-    for name, kind in (("panda", "robot"), ("box-2kg", "payload"), ("ols", "estimator")):
-        done = cli("show", name, "--json")
-        assert done.returncode == 0, done.stderr
-        assert json.loads(done.stdout)["kind"] == kind
-    assert "'wls'" in one_sentence(cli("show", "wsl"))
+def test_show_states_the_kind(cli: Run, name: str, kind: str) -> None:
+    assert json.loads(cli("show", name, "--json").stdout)["kind"] == kind
 
 
 @pytest.mark.parametrize("kind", ["log-readers", "log-reader", "log_reader", "log_readers"])
@@ -76,12 +64,6 @@ def test_a_kind_is_singular_or_plural(cli: Run, kind: str) -> None:
     first = listed.stdout.splitlines()[0]
     assert first.endswith("Lines of numbers separated by comma, semicolon, tab or blanks.")
     assert first in cli("show", kind).stdout.splitlines()
-
-
-def test_show_aligns_its_keys(cli: Run) -> None:
-    keys = ("kind", "name", "title", "at", "settings")
-    lines = cli("show", "ols").stdout.splitlines()
-    assert [line[:10] for line in lines] == [f"{key:<10}" for key in keys]
 
 
 def test_plan_counts_and_refuses_with_lines(cli: Run, tmp_path: Path) -> None:

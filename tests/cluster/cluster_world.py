@@ -166,10 +166,16 @@ def bench(*words: str) -> "subprocess.Popen[str]":
     )  # fmt: skip
 
 
-def done(process: "subprocess.Popen[str]") -> tuple[int, str]:
-    """Exit code and all output."""
+def run_on(executor: str, suite: Path, out: Path) -> "subprocess.Popen[str]":
+    """A run of a suite on an executor, as a process."""
+    return bench("run", str(suite), "-o", str(out), "--executor", executor)
+
+
+def done(process: "subprocess.Popen[str]", code: int = 0) -> str:
+    """All output of a process that ends with this exit code."""
     out, err = process.communicate(timeout=240)
-    return process.returncode, out + err
+    assert process.returncode == code, out + err
+    return out + err
 
 
 def rows(folder: Path) -> dict[str, Any]:

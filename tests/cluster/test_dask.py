@@ -12,6 +12,7 @@ from tests.cluster.cluster_world import (
     done,
     kill,
     rows,
+    run_on,
     seats,
     wait_for_rows,
     write_suite,
@@ -26,21 +27,17 @@ def test_two_workers_give_the_rows_of_one_process(
 ) -> None:
     cluster.join()
     cluster.join()
-    words = ("run", str(suite), "-o", str(tmp_path / "run"), "--executor", cluster.address)
-    code, text = done(bench(*words))
-    assert code == 0, text
+    done(run_on(cluster.address, suite, tmp_path / "run"))
     assert rows(tmp_path / "run") == rows(local)
     assert len(rows(local)) == CELLS
     assert '"machines"' in (tmp_path / "run" / "env.json").read_text()
-    again, text = done(bench(*words))  # nothing is left to run
-    assert again == 0, text
+    done(run_on(cluster.address, suite, tmp_path / "run"))  # nothing is left to run
     assert (tmp_path / "run" / "report.html").is_file()
 
 
 def test_the_kit_of_executors_accepts_it(cluster: Cluster) -> None:
     cluster.join()
-    code, text = done(bench("check-plugin", "--kind", "executor", cluster.address))
-    assert code == 0, text
+    text = done(bench("check-plugin", "--kind", "executor", cluster.address))
     assert "keeps its laws (5 checks)" in text
 
 
@@ -49,11 +46,10 @@ def test_a_worker_that_is_killed_costs_no_row(
 ) -> None:
     first = cluster.join()
     cluster.join()
-    run = bench("run", str(suite), "-o", str(tmp_path / "run"), "--executor", cluster.address)
+    run = run_on(cluster.address, suite, tmp_path / "run")
     wait_for_rows(tmp_path / "run", 10)
     kill(first)
-    code, text = done(run)
-    assert code == 0, text
+    done(run)
     assert rows(tmp_path / "run") == rows(local)
 
 
@@ -61,13 +57,11 @@ def test_a_client_that_is_killed_is_resumed(
     cluster: Cluster, suite: Path, local: Path, tmp_path: Path
 ) -> None:
     cluster.join()
-    words = ("run", str(suite), "-o", str(tmp_path / "run"), "--executor", cluster.address)
-    run = bench(*words)
+    run = run_on(cluster.address, suite, tmp_path / "run")
     wait_for_rows(tmp_path / "run", 10)
     kill(run)
     kept = {file.name: file.read_bytes() for file in (tmp_path / "run" / "cells").glob("*.jsonl")}
-    code, text = done(bench(*words))
-    assert code == 0, text
+    done(run_on(cluster.address, suite, tmp_path / "run"))
     assert rows(tmp_path / "run") == rows(local)
     for name, data in kept.items():
         assert (tmp_path / "run" / "cells" / name).read_bytes() == data
@@ -78,35 +72,31 @@ def test_without_a_scheduler_the_run_ends_resumable(
 ) -> None:
     worker = cluster.join(pause=0.5)  # the end is far when the scheduler goes
     out = tmp_path / "run"
-    run = bench("run", str(suite), "-o", str(out), "--executor", cluster.address)
+    run = run_on(cluster.address, suite, out)
     wait_for_rows(out, 10)
     kill(cluster.scheduler)
-    code, text = done(run)
-    assert code == 5, text
+    text = done(run, 5)
     assert "scheduler is gone" in text
     kept = len(rows(out))
     assert 10 <= kept < CELLS
     kill(worker)
-    code, text = done(bench("run", str(out)))  # here, without any cluster
-    assert code == 0, text
+    done(bench("run", str(out)))  # here, without any cluster
     assert rows(out) == rows(local)
     assert seats() == []
 
 
 def test_workers_may_join_late(cluster: Cluster, suite: Path, local: Path, tmp_path: Path) -> None:
-    run = bench("run", str(suite), "-o", str(tmp_path / "run"), "--executor", cluster.address)
+    run = run_on(cluster.address, suite, tmp_path / "run")
     with pytest.raises(AssertionError, match="less than"):
         wait_for_rows(tmp_path / "run", 1, seconds=4.0)
     cluster.join()
-    code, text = done(run)
-    assert code == 0, text
+    done(run)
     assert rows(tmp_path / "run") == rows(local)
 
 
 def test_without_any_worker_the_run_ends(cluster: Cluster, suite: Path, tmp_path: Path) -> None:
     address = cluster.address.replace("20s", "3s")
-    code, text = done(bench("run", str(suite), "-o", str(tmp_path / "run"), "--executor", address))
-    assert code == 5, text
+    text = done(run_on(address, suite, tmp_path / "run"), 5)
     assert "No worker for 3 s" in text
 
 
@@ -122,12 +112,9 @@ def test_a_worker_with_other_code_is_refused_or_declared(
         source.write("# another version\n")
     cluster.join(other, str(python_with(other, tmp_path / "python")))
     out = tmp_path / "run"
-    words = ("run", str(suite), "-o", str(out), "--executor")
-    code, text = done(bench(*words, cluster.address))
-    assert code == 2, text
+    text = done(run_on(cluster.address, suite, out), 2)
     assert "other-code" in text
-    code, text = done(bench(*words, cluster.address + "&other-code"))
-    assert code == 0, text
+    done(run_on(cluster.address + "&other-code", suite, out))
     assert rows(out).keys() == rows(local).keys()
 
 
@@ -138,9 +125,7 @@ def test_limits_hold_at_workers(cluster: Cluster, tmp_path: Path) -> None:
     short = {"repeats = 8": "repeats = 1", "20 s": "3 s"}
     suite = write_suite(tmp_path / "suite", more, **short)
     cluster.join()
-    words = ("run", str(suite), "-o", str(tmp_path / "run"), "--executor", cluster.address)
-    code, text = done(bench(*words))
-    assert code == 3, text
+    done(run_on(cluster.address, suite, tmp_path / "run"), 3)
     found = {(row["estimator"], row["status"]) for row in rows(tmp_path / "run").values()}
     assert found == {
         ("ols", "ok"), ("wls", "ok"), ("Mine", "ok"), ("Hangs", "timeout"), ("Crashes", "crash")
@@ -148,7 +133,5 @@ def test_limits_hold_at_workers(cluster: Cluster, tmp_path: Path) -> None:
 
 
 def test_no_scheduler_is_a_sentence(suite: Path, tmp_path: Path) -> None:
-    words = ("run", str(suite), "-o", str(tmp_path / "run"), "--executor", "dask://127.0.0.1:9")
-    code, text = done(bench(*words))
-    assert code == 2, text
+    text = done(run_on("dask://127.0.0.1:9", suite, tmp_path / "run"), 2)
     assert "No Dask scheduler answers" in text

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cluster.cluster_world import ROOT, bench, done, free_port, rows
+from tests.cluster.cluster_world import ROOT, bench, done, free_port, rows, run_on
 
 PROFILE = """
 maximum   = 2
@@ -62,8 +62,7 @@ def test_an_array_of_shards_merges_to_the_run_of_one_process(
         timeout=240,
     )
     parts = [str(tmp_path / f"part{i}") for i in (1, 2)]
-    code, text = done(bench("merge", *parts, "-o", str(tmp_path / "merged")))
-    assert code == 0, text
+    done(bench("merge", *parts, "-o", str(tmp_path / "merged")))
     assert rows(tmp_path / "merged") == rows(local)
     assert nodes(tmp_path) == NODES
 
@@ -75,19 +74,14 @@ def test_dask_workers_in_jobs_give_the_rows_of_one_process(
     profile = tmp_path / "profile.toml"
     profile.write_text(PROFILE.format(python=sys.executable, folder=tmp_path, root=ROOT))
     (tmp_path / "nodes").mkdir()
-    words = ("run", str(suite), "-o", str(tmp_path / "run"), "--executor", f"slurm:{profile}")
-    code, text = done(bench(*words))
-    assert code == 0, text
+    done(run_on(f"slurm:{profile}", suite, tmp_path / "run"))
     assert rows(tmp_path / "run") == rows(local)
     assert nodes(tmp_path) == NODES
 
 
 def test_a_profile_that_is_wrong_is_a_sentence(suite: Path, tmp_path: Path) -> None:
-    words = ("run", str(suite), "-o", str(tmp_path / "run"), "--executor")
-    code, text = done(bench(*words, f"slurm:{tmp_path / 'none.toml'}"))
-    assert code == 2, text
+    text = done(run_on(f"slurm:{tmp_path / 'none.toml'}", suite, tmp_path / "run"), 2)
     assert "profile" in text
     (tmp_path / "p.toml").write_text('interface = "lo"\ncoers = 2\n')
-    code, text = done(bench(*words, f"slurm:{tmp_path / 'p.toml'}"))
-    assert code == 2, text
+    text = done(run_on(f"slurm:{tmp_path / 'p.toml'}", suite, tmp_path / "run"), 2)
     assert "coers" in text

@@ -10,13 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid_bench.apps.conformance.estimator import metric_cells
+from sysid_bench.apps.conformance.metric import check_metric, metric_cells
 from sysid_bench.commands.check_plugin import check_plugin
 from sysid_bench.commands.list import list_, show
 from sysid_bench.commands.record import matching_cells
 from sysid_bench.commands.report import report, table
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.metric_checks import check_metric
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.harness.cell import Cell

@@ -11,7 +11,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.figures import WIDTH, figure, figure_svg
+from sysid_bench.reporting.figures import WIDTH, figure
 
 MAP = {"rows": ["robot"], "columns": ["payload"], "cells": {"metric": "gap", "stat": "max"}}
 
@@ -22,14 +22,14 @@ def test_a_figure_is_the_same_bytes_every_time(
     cells: pd.DataFrame, spec: Mapping[str, Any], tmp_path: Path, suffix: str, shape: str
 ) -> None:
     table = build_table(cells, spec if shape == "dots" else MAP)
-    one, two = (figure(table, tmp_path / f"{i}{suffix}").read_bytes() for i in range(2))
+    one, two = (figure.write(tmp_path / f"{i}{suffix}", table).read_bytes() for i in range(2))
     assert one == two
     assert len(one) > 2000
 
 
 def test_a_figure_fits_one_column_of_a_paper(cells: pd.DataFrame, spec: Mapping[str, Any]) -> None:
     for wanted in (spec, MAP):
-        root = ElementTree.fromstring(figure_svg(build_table(cells, wanted)))
+        root = ElementTree.fromstring(figure.svg(build_table(cells, wanted)))
         assert float(root.attrib["width"].removesuffix("pt")) <= 72 * (WIDTH + 0.1)
 
 
@@ -38,7 +38,7 @@ def test_failures_stand_in_the_figure(
     cells: pd.DataFrame, spec: Mapping[str, Any], shape: str
 ) -> None:
     # Glyphs are paths; the writer keeps each text as a comment beside them.
-    svg = figure_svg(build_table(cells, spec if shape == "dots" else MAP))
+    svg = figure.svg(build_table(cells, spec if shape == "dots" else MAP))
     assert "<!-- failed -->" in svg
 
 
@@ -47,7 +47,7 @@ def test_any_name_can_be_drawn(cells: pd.DataFrame, spec: Mapping[str, Any]) -> 
     names = {"ur5": "$x_" + long, "panda": "机器人 \U0001f916 \n", "anymal_c": "<script>--&"}
     renamed = cells.assign(robot=cells["robot"].map(names))
     for wanted in (spec, MAP):
-        ElementTree.fromstring(figure_svg(build_table(renamed, wanted)))
+        ElementTree.fromstring(figure.svg(build_table(renamed, wanted)))
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 1e-300, np.nan])
@@ -56,10 +56,10 @@ def test_odd_values_can_be_drawn(
 ) -> None:
     odd = cells.assign(torque_error=value, gap=value)
     for wanted in (spec, MAP):
-        ElementTree.fromstring(figure_svg(build_table(odd, wanted)))
+        ElementTree.fromstring(figure.svg(build_table(odd, wanted)))
 
 
 def test_another_suffix_is_refused(cells: pd.DataFrame, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"\.pdf, \.png or \.svg"):
-        figure(build_table(cells, MAP), tmp_path / "f.jpg")
+        figure.write(tmp_path / "f.jpg", build_table(cells, MAP))
     assert not list(tmp_path.iterdir())

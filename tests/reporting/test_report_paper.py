@@ -12,9 +12,9 @@ import pytest
 
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.figures import DOUBLE, WIDTH, figure, figure_svg
+from sysid_bench.reporting.figures import DOUBLE, WIDTH, figure
 from sysid_bench.reporting.latex import Origin, suite_macro_text, to_latex
-from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure, torque_svg
+from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.reporting.tables import notation
 from tests.reporting.test_report_writers import compiled
 
@@ -168,16 +168,16 @@ def test_noise_free_and_noisy_results_have_axes_of_their_own(
     cells: pd.DataFrame, spec: Mapping[str, Any]
 ) -> None:
     both = build_table(cells, spec)
-    assert axes_of(figure_svg(both)) == 2
-    assert axes_of(figure_svg(build_table(cells, {**spec, "select": NOISY}))) == 1
+    assert axes_of(figure.svg(both)) == 2
+    assert axes_of(figure.svg(build_table(cells, {**spec, "select": NOISY}))) == 1
     rows = {**spec, "rows": ["robot", "noise"], "columns": ["estimator"]}
-    assert axes_of(figure_svg(build_table(cells, rows))) == 2
+    assert axes_of(figure.svg(build_table(cells, rows))) == 2
     crossed = {"rows": ["robot"], "columns": ["noise"], "cells": {"metric": "torque_error"}}
-    assert axes_of(figure_svg(build_table(cells, crossed))) == 2  # not one map with one scale
+    assert axes_of(figure.svg(build_table(cells, crossed))) == 2  # not one map with one scale
 
 
 def test_residuals_have_axes_of_their_own() -> None:
-    assert [axes_of(torque_svg(sample(joints))) for joints in (1, 2, 7)] == [2, 4, 14]
+    assert [axes_of(torque_figure.svg(sample(joints))) for joints in (1, 2, 7)] == [2, 4, 14]
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -187,9 +187,9 @@ def test_figures_fit_their_columns(
     inches, points = SIZES[size]
     long = cells.assign(robot=cells["robot"] + "_description:a_very_long_name/urdf/" * 2)
     for number, made in enumerate((cells, long)):
-        path = figure(build_table(made, spec), tmp_path / f"{number}.svg", inches)
+        path = figure.write(tmp_path / f"{number}.svg", build_table(made, spec), inches)
         assert width_of(path) <= points / 72.27
-    assert width_of(torque_figure(tmp_path / "t.svg", sample(), inches)) <= points / 72.27
+    assert width_of(torque_figure.write(tmp_path / "t.svg", sample(), inches)) <= points / 72.27
 
 
 def width_of(svg: Path) -> float:
@@ -205,9 +205,9 @@ def test_a_two_column_paper_compiles_without_overfull_boxes(
 ) -> None:
     tables = noisy_tables(cells, spec)
     macros = suite_macro_text(cells, macro_specs(), lambda *_: True, METRICS, ORIGIN)
-    figure(tables[0], tmp_path / "one.pdf")
-    torque_figure(tmp_path / "two.pdf", sample(), WIDTH)
-    torque_figure(tmp_path / "three.pdf", sample(), DOUBLE)
+    figure.write(tmp_path / "one.pdf", tables[0])
+    torque_figure.write(tmp_path / "two.pdf", sample(), WIDTH)
+    torque_figure.write(tmp_path / "three.pdf", sample(), DOUBLE)
     text = " ".join(f"The number is \\{name}{{}} here." for name in NAMES)
     float_ = (
         "\\begin{{figure{0}}}\\centering\\includegraphics{{{1}}}\\caption{{A}}\\end{{figure{0}}}\n"

@@ -12,7 +12,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.ranking import RATIOS, MethodRatio, Ranking, rank_cells
-from sysid_bench.reporting.ranking_figures import profile, profile_svg
+from sysid_bench.reporting.ranking_figures import profile
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.tables import Entry
 from sysid_bench.reporting.writers import to_csv, to_json, to_markdown
@@ -316,8 +316,8 @@ def test_profiles_rise_to_the_share_of_answers() -> None:
 
 def test_a_profile_is_the_same_picture_every_time(tmp_path: Path) -> None:
     [ranking] = ranked(fabricate(robots=3))
-    one, two = (profile(ranking, tmp_path / f"{i}.pdf").read_bytes() for i in range(2))
+    one, two = (profile.write(tmp_path / f"{i}.pdf", ranking).read_bytes() for i in range(2))
     assert one == two
-    assert profile_svg(ranking).startswith("<svg")
+    assert profile.svg(ranking).startswith("<svg")
     with pytest.raises(UsageError, match=r"\.pdf, \.png or \.svg"):
-        profile(ranking, tmp_path / "profile.jpg")
+        profile.write(tmp_path / "profile.jpg", ranking)

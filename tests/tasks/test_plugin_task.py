@@ -7,6 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from sysid_bench.commands.basis import basis
+from sysid_bench.commands.identify import identify
 from sysid_bench.commands.main import main
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.tasks.task import find_task
@@ -14,6 +15,7 @@ from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import load_suite
+from sysid_bench.signals.log_data import log_of
 
 WRIST = Path(__file__).with_name("wrist.py")
 SUITE = """
@@ -83,6 +85,32 @@ def test_an_unknown_task_of_a_suite_is_named_with_its_line_and_all_tasks(suite_f
 def test_the_commands_take_it_by_its_file() -> None:
     answer = basis("ur5", f"file:{WRIST}:Wrist", ("viscous",))
     assert (answer["parameters"], answer["terms"]) == (20 + 6, ["viscous"])
+
+
+OWN_VERB = """
+class Mine(Wrist):
+    commands = {"identify": "file:wrist.py:answer"}
+
+
+def answer(request):
+    return IdentifyResult(
+        model=request.model, file="", task=request.task, terms=[], rows=[], estimator="mine",
+        scores={"rank": 7}, std_from=None, std_limit=None, joints={}, warnings=[],
+    )
+"""
+
+
+def test_a_task_has_a_verb_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    head = "from sysid_bench.commands.identify_result import IdentifyResult\n"
+    (tmp_path / "wrist.py").write_text(head + WRIST.read_text() + OWN_VERB)
+    monkeypatch.chdir(tmp_path)
+    log = log_of({"q_a": [0.0, 1.0], "tau_a": [0.0, 1.0]}, {"rate": "1 Hz"})
+    result = identify("ur5", "file:wrist.py:Mine", log=log)
+    assert (result.estimator, result.rank, result["rank"]) == ("mine", 7, 7)
+    with pytest.raises(AttributeError, match="rnak"):
+        result.rnak  # noqa: B018
+    with pytest.raises(UsageError, match="--share"):
+        identify("ur5", f"file:{WRIST}:Wrist", log=log, share=["a"])
 
 
 def test_an_object_that_is_not_a_task_is_refused() -> None:

@@ -4,11 +4,11 @@ Deviations come from the residuals of blocks of the recording, whose correlation
 they hold (Carlstein, Annals of Statistics 14(3), 1986).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Final
 
 import numpy as np
@@ -115,15 +115,11 @@ def group_joints(rows: DriveRows, shared: Sequence[str]) -> tuple[Group, ...]:
     members = [
         tuple(i for i, label in enumerate(labels) if label == one) for one in dict.fromkeys(labels)
     ]
-    return tuple(
-        Group(
-            joints,
-            _stacked(rows, joints),
-            rows.more,
-            None if rows.armature is None else rows.armature[:, joints],
-        )
-        for joints in members
-    )
+    groups = []
+    for joints in members:
+        armature = None if rows.armature is None else rows.armature[:, joints]
+        groups.append(Group(joints, _stacked(rows, joints), rows.more, armature))
+    return tuple(groups)
 
 
 def holds(name: str, word: str) -> bool:
@@ -135,18 +131,13 @@ def _stacked(rows: DriveRows, joints: tuple[int, ...]) -> Array:
     """Return the rows of some joints below one another, each with its own constant."""
     own, first = np.eye(len(joints)), SIGNED + 1
     shared = [first + rows.more.index(name) for name in rows.more if name != "bias"]
-    parts = [
-        np.hstack([
-            rows.features[:, j][:, [*range(SIGNED), *shared]],
-            np.tile(own[i], (len(rows.features), 1)),
-            *(
-                rows.features[:, j, [first + rows.more.index(name)]] * own[i]
-                for name in rows.more
-                if name == "bias"
-            ),
-        ])
-        for i, j in enumerate(joints)
-    ]  # fmt: skip
+    parts = []
+    for i, j in enumerate(joints):
+        columns = [rows.features[:, j][:, [*range(SIGNED), *shared]]]
+        columns.append(np.tile(own[i], (len(rows.features), 1)))
+        if "bias" in rows.more:
+            columns.append(rows.features[:, j, [first + rows.more.index("bias")]] * own[i])
+        parts.append(np.hstack(columns))
     return np.concatenate(parts)
 
 
@@ -178,14 +169,16 @@ def bounded_fit(
             residuals[:, j] = r[i * group.samples : (i + 1) * group.samples]
     at_bound = (values[:, : SIGNED + 1] == 0.0) & (np.arange(SIGNED + 1) != SIGNED)
     std = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
-    parts = [part for x in (values, std) for part in np.split(x, [SIGNED + 1], axis=1)]
+    (own_values, more), (own_std, more_std) = (
+        np.split(x, [SIGNED + 1], axis=1) for x in (values, std)
+    )
     return Fit(
-        values=parts[0],
-        std=parts[2],
+        values=own_values,
+        std=own_std,
         at_bound=at_bound,
         residuals=residuals,
-        more=parts[1],
-        more_std=parts[3],
+        more=more,
+        more_std=more_std,
         factors=factors,
         covariance=covariances,
         penalty=penalty,
@@ -195,19 +188,17 @@ def bounded_fit(
 def _physical(x: Array, covariance: Array, more: Sequence[str]) -> tuple[Array, Array]:
     """Return values and their covariance for factors x (4 + e,): both sides were divided by the
     gain, so that its own factor is 1 / gain - 1."""
-    slopes = np.eye(len(x))
-    values = x.copy()
-    if "gain" in more:
-        g = SIGNED + 1 + more.index("gain")
-        # Commands without any torque leave the gain open: it is infinite, and all values with it.
-        with np.errstate(divide="ignore", invalid="ignore"):
+    slopes, values = np.eye(len(x)), x.copy()
+    # Commands without any torque leave the gain open: it is infinite, and all values with it.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if "gain" in more:
+            g = SIGNED + 1 + more.index("gain")
             gain = np.divide(1.0, 1.0 + x[g])
             values, slopes = gain * x, gain * slopes
             slopes[:, g] -= gain * values
             values[g], slopes[g] = gain, 0.0
             slopes[g, g] = -(gain**2)
-            return values, slopes @ covariance @ slopes.T
-    return values, slopes @ covariance @ slopes.T
+        return values, slopes @ covariance @ slopes.T
 
 
 def solve_bounded(A: Array, b: Array, bounded: int = SIGNED) -> tuple[Array, Array]:
@@ -218,7 +209,10 @@ def solve_bounded(A: Array, b: Array, bounded: int = SIGNED) -> tuple[Array, Arr
     """
     count = A.shape[1]
     best, least, best_free = np.zeros(count), np.inf, np.arange(0)
-    for free in _active_sets(count, bounded):
+    others = np.arange(bounded, count)
+    sizes = range(bounded, -1, -1)  # the most unknowns off their bound first
+    for signs in chain.from_iterable(combinations(range(bounded), size) for size in sizes):
+        free = np.concatenate([np.array(signs, dtype=int), others])
         x = np.linalg.lstsq(A[:, free], b, rcond=None)[0]
         signed = x[free < bounded]
         # A set with negative values is not allowed.
@@ -228,14 +222,6 @@ def solve_bounded(A: Array, b: Array, bounded: int = SIGNED) -> tuple[Array, Arr
             best = np.zeros(count)
             best[free] = x
     return best, best_free
-
-
-def _active_sets(count: int, bounded: int) -> Iterator[Array]:
-    """Yield the indices of unknowns that are off their bound, the most first."""
-    others = np.arange(bounded, count)
-    for size in range(bounded, -1, -1):
-        for signed in combinations(range(bounded), size):
-            yield np.concatenate([np.array(signed, dtype=int), others])
 
 
 def _covariance(group: Group, r: Array, free: Array, rate: float, scale: Array | None) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import SIGNED, Fit, Group, bounded_fit
 from sysid_bench.apps.actuators.drive_rows import DriveRows
+from sysid_bench.evaluation.intervals import likelihood_drop
 from sysid_bench.numerics import correlation_time
 from sysid_bench.types import Array
 
@@ -21,9 +22,9 @@ LONGEST: Final = 0.02
 SAMPLES: Final = 2.0
 """Longest of them at lower rates, in samples."""
 
-DROP: Final = 3.84
-"""95 % quantile of chi-squared with one degree of freedom: twice the loss of log-likelihood at
-the ends of the interval."""
+AHEAD: Final = 3.84
+"""Twice the loss of log-likelihood (95 % quantile of chi-squared) by which a negative delay has to
+fit better."""
 
 FLAT: Final = 1e-6
 """Largest difference of losses that are rounding errors."""
@@ -39,8 +40,9 @@ LAGS: Final = 0.5
 class DelayProfile:
     """Fits at `delays` (d,) in s, and `loss` (d,): twice the log-likelihood below the best one's.
 
-    `best`: its minimum, between them as well; `interval`: where the loss is below DROP; `ahead`: a
-    delay half a sample below zero fits better still, by more than DROP.
+    `best`: its minimum, between them as well; `interval`: where the loss is below
+    `likelihood_drop`; `ahead`: a delay half a sample below zero fits better still, by more than
+    AHEAD.
     """
 
     delays: Array
@@ -74,8 +76,16 @@ def delay_profile(
     first = min(fits, key=lambda fit: float(fit.errors.sum()))
     counts = independent_samples(first.residuals, rows.rate)
     loss = np.array([_loss(fit.errors, counts) + fit.penalty for fit in fits])
-    best, lowest = _smallest(delays, loss)
+    best, lowest = float(delays[np.argmin(loss)]), float(loss.min())
     if between and np.ptp(loss) >= FLAT:
+        # Pieces (3,) of the grid that hold its best delay, each with its middle: between odd
+        # multiples of half a sample the torque of held commands is linear in the delay.
+        ends = np.unique(np.concatenate([delays[:1], delays[1::2], delays[-1:]])).tolist()
+        pieces = [
+            np.array([low, 0.5 * (low + high), high])
+            for low, high in pairwise(ends)
+            if low <= best <= high
+        ]
         known = dict(zip(delays.tolist(), fits, strict=True))
 
         def fit_at(delay: float) -> Fit:
@@ -83,15 +93,17 @@ def delay_profile(
             return found or bounded_fit(groups, rows.torque(delay), rows.rate, scale)
 
         best, lowest = min(
-            (_lowest(piece, [fit_at(d) for d in piece], counts) for piece in _pieces(delays, best)),
+            (_lowest(piece, [fit_at(d) for d in piece], counts) for piece in pieces),
             key=lambda found: found[1],
         )
     ahead = False
     if best == 0.0:
         early = bounded_fit(groups, rows.torque(-0.5 / rows.rate), rows.rate, scale)
-        ahead = bool(_loss(early.errors, counts) + early.penalty < lowest - DROP)
+        ahead = bool(_loss(early.errors, counts) + early.penalty < lowest - AHEAD)
     loss = loss - lowest
-    return DelayProfile(delays, fits, loss, best, _interval(delays, loss, best), ahead)
+    low = _end(delays[delays < best][::-1], loss[delays < best][::-1], best)
+    high = _end(delays[delays > best], loss[delays > best], best)
+    return DelayProfile(delays, fits, loss, best, (low, high), ahead)
 
 
 def _loss(errors: Array, counts: Array) -> Array:
@@ -109,22 +121,6 @@ def independent_samples(residuals: Array, rate: float) -> Array:
     return np.array([N / correlation_time(x, longest) for x in centred.T])
 
 
-def _smallest(x: Array, y: Array) -> tuple[float, float]:
-    best = int(np.argmin(y))
-    return float(x[best]), float(y[best])
-
-
-def _pieces(grid: Array, best: float) -> list[Array]:
-    """Return the pieces (3,) of the grid that hold its best delay, each with its middle: between
-    odd multiples of half a sample the torque of held commands is linear in the delay."""
-    ends = np.unique(np.concatenate([grid[:1], grid[1::2], grid[-1:]]))
-    return [
-        np.array([low, 0.5 * (low + high), high])
-        for low, high in pairwise(ends.tolist())
-        if low <= best <= high
-    ]
-
-
 def _lowest(piece: Array, fits: Sequence[Fit], counts: Array) -> tuple[float, float]:
     """Return delay and loss of the minimum in a piece (3,) with its fits: the squared residuals of
     each joint are a parabola there, and their logarithm is not."""
@@ -135,26 +131,22 @@ def _lowest(piece: Array, fits: Sequence[Fit], counts: Array) -> tuple[float, fl
     squares = weights @ np.array([fit.errors**2 for fit in fits])
     penalty = weights @ np.array([fit.penalty for fit in fits])
     loss = _loss(np.sqrt(np.maximum(squares, 0.0)), counts) + penalty
-    return _smallest(piece[0] + share[:, 0] * (piece[-1] - piece[0]), loss)
-
-
-def _interval(x: Array, loss: Array, best: float) -> tuple[float, float]:
-    """Return the delays around the best one at which the loss reaches DROP, by a parabola through
-    the nearest point on that side; the ends of the grid where it does not."""
-    return _end(x[x < best][::-1], loss[x < best][::-1], best), _end(
-        x[x > best], loss[x > best], best
-    )
+    best = int(np.argmin(loss))
+    return float((piece[0] + share[:, 0] * (piece[-1] - piece[0]))[best]), float(loss[best])
 
 
 def _end(x: Array, loss: Array, best: float) -> float:
-    """Return the crossing of DROP on one side; x and loss are ordered away from the best."""
-    above = np.flatnonzero(loss > DROP)
+    """Return the delay on one side of the best at which the loss reaches `likelihood_drop`, by a
+    parabola through the nearest point there; the end of the grid where it does not. x and loss are
+    ordered away from the best."""
+    drop = likelihood_drop()
+    above = np.flatnonzero(loss > drop)
     if len(above) == 0:
         return float(x[-1]) if len(x) else best
     far = int(above[0])
     # Near its minimum the loss is a parabola, so that its root is linear in the delay.
     inner = (best, 0.0) if far == 0 else (float(x[far - 1]), float(max(loss[far - 1], 0.0)))
-    low, high, edge = np.sqrt(inner[1]), np.sqrt(loss[far]), np.sqrt(DROP)
+    low, high, edge = np.sqrt(inner[1]), np.sqrt(loss[far]), np.sqrt(drop)
     return float(inner[0] + (x[far] - inner[0]) * (edge - low) / (high - low))
 
 

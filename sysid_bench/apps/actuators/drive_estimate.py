@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.special import stdtrit
 
 from sysid_bench.apps.actuators.bounded_fit import Fit, Group, bounded_fit, group_joints
 from sysid_bench.apps.actuators.delay_profile import (
@@ -19,14 +18,11 @@ from sysid_bench.apps.actuators.delay_profile import (
 )
 from sysid_bench.apps.actuators.drive_rows import DriveRows
 from sysid_bench.apps.actuators.rollout import Drives
-from sysid_bench.errors import UsageError
+from sysid_bench.evaluation.intervals import coverage_factor
 from sysid_bench.types import Array
 
 ROUNDS: Final = 3
 """Times that the links' torque is computed at the bias found before."""
-
-NORMAL: Final = 1.96
-"""97.5 % quantile of the normal distribution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +91,7 @@ class DriveEstimate:
         if self.profile is None or self.separation is None or self.separation.is_static:
             return 0.0
         low, high = self.profile.interval
-        of_profile = (high - low) / (2.0 * NORMAL)
+        of_profile = (high - low) / (2.0 * round(coverage_factor(np.inf), 2))
         apart = self.separation
         if not apart.is_open:
             return of_profile
@@ -157,33 +153,6 @@ def identify_recordings(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class RepeatInterval:
-    """Mean and standard deviation (...) between `count` files, and the interval [low, high] that
-    holds the value of a new file with a probability `share`."""
-
-    count: int
-    share: float
-    mean: Array
-    std: Array
-    low: Array
-    high: Array
-
-
-def repeat_interval(values: Array, share: float = 0.95) -> RepeatInterval:
-    """Return the ranges of values (n, ...) of n files: the prediction interval of Student's t,
-    mean +- t_{n-1} s sqrt(1 + 1/n), with s of n - 1.
-
-    Raises UsageError for a single file.
-    """
-    n = len(values)
-    if n < 2:
-        raise UsageError("Ranges between files need two files or more; give one more recording.")
-    mean, std = values.mean(axis=0), values.std(axis=0, ddof=1)
-    reach = float(stdtrit(n - 1, 0.5 * (1.0 + share))) * np.sqrt(1.0 + 1.0 / n) * std
-    return RepeatInterval(n, share, mean, std, mean - reach, mean + reach)
-
-
 def repeat_covariance(values: Array, delays: Array) -> Array:
     """Return the covariance (k, c + 1, c + 1) between n files of each joint's values (n, k, c) and
     of the delays (n,)."""
@@ -192,13 +161,3 @@ def repeat_covariance(values: Array, delays: Array) -> Array:
     )
     centred = whole - whole.mean(axis=0)
     return np.asarray(np.einsum("nki,nkj->kij", centred, centred) / (len(values) - 1))
-
-
-def left_out_share(values: Array, share: float = 0.95) -> float:
-    """Return the share of values (n, ...) that the ranges of the other n - 1 files hold."""
-    inside = []
-    for k, own in enumerate(values):
-        others = repeat_interval(np.delete(values, k, axis=0), share)
-        # Values on a bound in all files have no scatter, and are held.
-        inside.append((own >= others.low) & (own <= others.high))
-    return float(np.mean(inside))

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -59,7 +60,15 @@ def published_drives(name: str, recording: Path, joints: Sequence[str]) -> Publi
     Raises UsageError for a file, name, joint or value that is not there.
     """
     file = recording.parent / FILE
-    known = _sets(file)
+    try:
+        written = json.loads(read_text(file))
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{file} has no published values: {error}.") from error
+    known = {
+        key: one["joints"]
+        for key, one in written.items()
+        if isinstance(one, Mapping) and isinstance(one.get("joints"), Mapping)
+    }
     if name not in known:
         raise unknown_name(f"set of values in {file.name}", name, known)
     try:
@@ -72,55 +81,37 @@ def published_drives(name: str, recording: Path, joints: Sequence[str]) -> Publi
     return PublishedDrives(np.array(terms, dtype=float), np.array(bias, dtype=float))
 
 
-def _sets(file: Path) -> dict[str, Any]:
-    """The joints of each set of values in a file, by name."""
-    try:
-        written = json.loads(read_text(file))
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{file} has no published values: {error}.") from error
-    return {
-        key: one["joints"]
-        for key, one in written.items()
-        if isinstance(one, Mapping) and isinstance(one.get("joints"), Mapping)
-    }
-
-
 def drive_problem(rows: DriveRows, delay: float, kinds: tuple[str, ...]) -> Problem:
     """Return the problem of the values of all joints ("knee.Ia", ...) at a delay (s) of the
     commands; `kinds` of the rows, as in `Problem`."""
     tau, count = rows.torque(delay), len(UNKNOWNS)
     names = tuple(f"{joint}.{term}" for joint in rows.joints for term in UNKNOWNS)
-    factors = tuple(
-        _factor(joint, count * j, rows.features[:, j], tau[:, j])
-        for j, joint in enumerate(rows.joints)
-    )
+    factors = []
+    for j, joint in enumerate(rows.joints):
+        R = qr_factor([np.column_stack([rows.features[:, j], tau[:, j]])])
+        columns = np.arange(count * j, count * j + rows.features.shape[2])
+        factors.append(Factor(joint, columns, R, len(tau)))
+
+    def blocks() -> Iterator[RowBlock]:
+        N, k, c = rows.features.shape
+        W = np.zeros((N, k, k * c))
+        for j in range(k):
+            W[:, j, c * j : c * (j + 1)] = rows.features[:, j]
+        yield W, tau
+
     # Values of single joints: each is identifiable by itself.
     every = np.eye(len(names))
     return Problem(
         parameters=names,
         base=BaseMap(every, np.arange(len(names)), names, np.inf, 0, np.ones(len(names))),
         rows=rows.joints,
-        factors=factors,
+        factors=tuple(factors),
         bodies=(),
-        blocks=lambda: _blocks(rows.features, tau),
+        blocks=blocks,
         samples=len(tau),
         kinds=kinds,
         torque=np.sqrt(np.mean((tau + rows.links) ** 2, axis=0)),
     )
-
-
-def _factor(joint: str, first: int, A: Array, tau: Array) -> Factor:
-    columns = np.arange(first, first + A.shape[1])
-    return Factor(joint, columns, qr_factor([np.column_stack([A, tau])]), len(tau))
-
-
-def _blocks(features: Array, tau: Array) -> Iterator[RowBlock]:
-    """The rows of all joints in one block."""
-    N, k, c = features.shape
-    W = np.zeros((N, k, k * c))
-    for j in range(k):
-        W[:, j, c * j : c * (j + 1)] = features[:, j]
-    yield W, tau
 
 
 DELAYS: Final = 1e-3 * np.arange(0.0, 21.0, 2.5)
@@ -204,45 +195,32 @@ class DriveSource:
             return None
         joints = self.found.rows.joints
         if getattr(method, "uses_data", True):
-            return _error_of_fit(tests, Drives(joints, values, self.found.delay))
-        errors = (_error_or_none(tests, drives) for drives in self._published_drives(values))
-        return min((error for error in errors if error is not None), default=None)
-
-    def _published_drives(self, values: Array) -> Iterator[Drives]:
-        """Yield drives with published values: those state neither delay nor the sign of bias."""
-        joints = self.found.rows.joints
+            return _error(tests, Drives(joints, values, self.found.delay))
+        # Published values state neither delay nor the sign of bias.
         bias = np.zeros(len(joints)) if self.published is None else self.published.bias
+        errors = []
         for sign in (-1.0, 1.0) if bias.any() else (1.0,):
             for delay in DELAYS:
-                yield Drives(joints, values, float(delay), {"bias": sign * bias})
+                drives = Drives(joints, values, float(delay), {"bias": sign * bias})
+                with suppress(SimulationError):
+                    errors.append(_error(tests, drives))
+        return min(errors, default=None)
 
 
 def _error(tests: Sequence[DrivePart], drives: Drives) -> float:
-    squares = [
-        rollout_error(part.robot, drives, part.log.commands.of(drives.joints), part.rows) ** 2
-        for part in tests
-        if part.log.commands is not None
-    ]
-    return float(np.sqrt(np.mean(squares)))
-
-
-def _error_of_fit(tests: Sequence[DrivePart], drives: Drives) -> float:
     """Raise SimulationError, with the values that no actuator has, where the robot diverges."""
+    squares = []
     try:
-        return _error(tests, drives)
+        for part in tests:
+            if part.log.commands is not None:
+                commands = part.log.commands.of(drives.joints)
+                squares.append(rollout_error(part.robot, drives, commands, part.rows) ** 2)
     except SimulationError as error:
         wrong = np.argwhere(drives.values[:, :SIGNED] < 0.0)
         names = [f"{drives.joints[j]}.{UNKNOWNS[i]}" for j, i in wrong]
         reason = f"; negative are {first_names(names)}" if names else ""
         raise SimulationError(f"The simulation with these values diverges{reason}.") from error
-
-
-def _error_or_none(tests: Sequence[DrivePart], drives: Drives) -> float | None:
-    """None where the robot diverges."""
-    try:
-        return _error(tests, drives)
-    except SimulationError:
-        return None
+    return float(np.sqrt(np.mean(squares)))
 
 
 WIDE: Final = 1.0
@@ -272,7 +250,11 @@ def prepare_drives(
         name: read_part(log, manifest, accept).test_part(share) for name, log in others.items()
     }
     joints = fits[0].log.joints
-    pooled = pooled_rows([_rows(p, joints) for p in fits])
+
+    def rows_of(part: DrivePart) -> DriveRows:
+        return drive_rows(part.robot, part.log, joints, part.rows)
+
+    pooled = pooled_rows([rows_of(part) for part in fits])
     found = identify_drives(pooled, delay=known_delay(fits))
     robot = fits[0].robot
     kinds = tuple(robot.torque_units[robot.torque_rows.index(joint)] for joint in joints)
@@ -283,14 +265,10 @@ def prepare_drives(
         # A value of zero is not known exactly: a deviation of zero would exclude all others.
         least = 1e-3 * np.tile(np.maximum(np.abs(values).max(axis=0), 1e-3), len(values))
         problem = replace(problem, prior=Prior(theta, np.maximum(WIDE * np.abs(theta), least)))
-    test_rows = {name: _rows(part, joints) for name, part in judged.items()}
+    test_rows = {name: rows_of(part) for name, part in judged.items()}
     held_out = {name: drive_problem(x, found.delay, kinds) for name, x in test_rows.items()}
     source = DriveSource(fits, judged, found, published)
     return ExperimentData(robot, problem, _experiment(problem, fits[0]), held_out, source)
-
-
-def _rows(part: DrivePart, joints: Sequence[str]) -> DriveRows:
-    return drive_rows(part.robot, part.log, joints, part.rows)
 
 
 def _prior_values(

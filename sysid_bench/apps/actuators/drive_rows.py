@@ -8,7 +8,6 @@ them stay linear once both sides are divided by `gain`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -19,7 +18,6 @@ from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.filter import Filter, derivative, filter_of
 from sysid_bench.signals.log import Log
 from sysid_bench.signals.log_samples import RecordedBase
-from sysid_bench.signals.position_control import Commands
 from sysid_bench.signals.processing import Processing
 from sysid_bench.simulation.inverse import joint_positions
 from sysid_bench.spatial import (
@@ -145,7 +143,8 @@ def drive_rows(
     `more` unknowns, in the order of MORE; `bias` (k,) is added to positions of links. Raises
     UsageError for recordings that are too short.
     """
-    recording = _part(log.recording, rows)
+    whole = log.recording
+    recording = Recording(whole.t[rows], whole.q[rows], whole.tau[rows], whole.rate, whole.rows)
     low_pass = drive_filter(recording.rate)
     processing = Processing(low_pass, differentiate=True, accuracy=ACCURACY)
     filtered = processing.apply(recording, robot.joints)
@@ -155,20 +154,34 @@ def drive_rows(
     motion = _with_base(robot, log, filtered.motion, rows, used)
     motion = _moved(robot, motion, q, np.zeros(len(q)) if bias is None else bias)
     rigid = _known_torque(robot, motion, joints)
-    friction = _friction(recording.q[:, q], recording.rate, low_pass)[used]
+    # The filtered direction of motion: sign(v) behind a filter that is wider than that of the rows.
+    wide = filter_of(f"butter 4 {WIDE * recording.rate:g} Hz zero-phase")
+    rates = derivative(wide, wide.smooth(recording.q[:, q], whole.rate), whole.rate, ACCURACY)
+    friction = low_pass.smooth(np.tanh(rates / SMOOTHING), whole.rate)[used]
     columns = [motion.a[:, v], motion.v[:, v], friction, np.ones_like(friction)]
     further = {"load": np.abs(rigid) * friction, "gain": rigid}
     if "bias" in more:
         further["bias"] = _tilted(robot, motion, joints, q)
     features = np.stack([*columns, *(further[name] for name in more)], axis=2)
-    commands = _driven(robot, log, joints, rows)
-    given = partial(_measured, filtered.tau[:, list(map(recording.rows.index, joints))] - rigid)
+    measured: Array = filtered.tau[:, list(map(recording.rows.index, joints))] - rigid
+    commands = log.commands
+    if commands is not None:
+        # With the state of the recording, in which held samples are replaced: a drive that repeats
+        # a message knows its own state.
+        own = None if whole.v is None else whole.v[:, v]
+        commands = replace(commands.of(joints), q=whole.q[:, q], v=own).select(rows)
+
+    def torque(delay: float) -> Array:
+        if commands is None:  # a measured torque has no delay
+            return measured
+        return np.asarray(low_pass.smooth(commands.torque(delay), commands.rate)[used] - rigid)
+
     return DriveRows(
         joints=tuple(joints),
         rate=recording.rate,
         features=features,
         links=rigid,
-        torque=given if commands is None else partial(_commanded, commands, low_pass, used, rigid),
+        torque=torque,
         more=tuple(more),
         bias=bias,
         armature=None if commands is None else commands.armature,
@@ -238,16 +251,11 @@ def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:
             f"The recordings have rates of {', '.join(f'{rate:g}' for rate in rates)} Hz; identify "
             "them one by one, or bring them to one rate."
         )
-    features = np.concatenate([part.features for part in parts])
-    return DriveRows(
-        joints=first.joints,
-        rate=first.rate,
-        features=features,
+    return replace(
+        first,
+        features=np.concatenate([part.features for part in parts]),
         links=np.concatenate([part.links for part in parts]),
         torque=lambda delay: np.concatenate([part.torque(delay) for part in parts]),
-        more=first.more,
-        bias=first.bias,
-        armature=first.armature,
     )
 
 
@@ -256,39 +264,3 @@ def joint_indices(robot: RobotModel, joints: Sequence[str]) -> tuple[list[int], 
     found = {dof: (joint.qadr, joint.vadr) for joint in robot.joints for dof in joint.dofs}
     places = [found[name] for name in joints]
     return [q for q, _ in places], [v for _, v in places]
-
-
-def _part(recording: Recording, rows: slice) -> Recording:
-    """Return some samples of the measured positions and torques."""
-    return Recording(
-        recording.t[rows], recording.q[rows], recording.tau[rows], recording.rate, recording.rows
-    )
-
-
-def _friction(q: Array, rate: float, low_pass: Filter) -> Array:
-    """Return the filtered direction of motion (N, k) of joints with positions q (N, k)."""
-    wide = filter_of(f"butter 4 {WIDE * rate:g} Hz zero-phase")
-    v = derivative(wide, wide.smooth(q, rate), rate, ACCURACY)
-    return low_pass.smooth(np.tanh(v / SMOOTHING), rate)
-
-
-def _driven(robot: RobotModel, log: Log, joints: Sequence[str], rows: slice) -> Commands | None:
-    """Return the commands with the state of the recording, in which held samples are replaced: a
-    drive that repeats a message knows its own state. None for a measured torque."""
-    if log.commands is None:
-        return None
-    q, v = joint_indices(robot, joints)
-    found = log.recording
-    rates = None if found.v is None else found.v[:, v]
-    return replace(log.commands.of(joints), q=found.q[:, q], v=rates).select(rows)
-
-
-def _measured(tau: Array, delay: float) -> Array:
-    """Return a measured torque, which has no delay."""
-    return tau
-
-
-def _commanded(
-    commands: Commands, low_pass: Filter, used: slice, rigid: Array, delay: float
-) -> Array:
-    return np.asarray(low_pass.smooth(commands.torque(delay), commands.rate)[used] - rigid)

@@ -164,7 +164,11 @@ def positions_of(
     Raises SimulationError where the robot diverges.
     """
     first, last, _ = rows.indices(len(commands))
-    (at_q, at_v), motors = places, _motors(mj, places[1])
+    at_q, at_v = places
+    # The first index of a transmission is that of a tendon, site or body in other kinds.
+    of_joint = np.flatnonzero(mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT))
+    moved = mj.jnt_dofadr[mj.actuator_trnid[of_joint, 0]].tolist()
+    motors = [int(of_joint[moved.index(dof)]) for dof in at_v]
     each = round(1.0 / (commands.rate * mj.opt.timestep))
     controls = np.zeros((last - first, each, mj.nu))
     acting = np.arange(first * each, last * each) - round(delay * commands.rate * each)
@@ -173,14 +177,16 @@ def positions_of(
     data.qpos[at_q], data.qvel[at_v] = commands.q[first], commands.velocity[first]
     _fill_buffers(mj, data, motors, commands, first * each)
     found, friction = np.empty((last - first, len(at_q))), mj.dof_frictionloss[at_v].copy()
-    place_base = _base_placer(mj, data, commands)
+    place_base, known = _base_placer(mj, data, commands), np.empty(mj.nv)
     for k, steps in enumerate(controls):
         place_base(first + k)
         found[k] = data.qpos[at_q]
-        _set_gains(mj, motors, commands, first + k)
-        _set_limits(mj, motors, commands, data.qvel[at_v])
+        _set_motors(mj, motors, commands, first + k, data.qvel[at_v])
         if load is not None:
-            mj.dof_frictionloss[at_v] = friction + load * _link_torque(mj, data)[at_v]
+            # The size of the torque that moves the links, without that of armature.
+            mujoco.mj_mulM(mj, data, known, data.qacc)
+            moving = np.abs(known - mj.dof_armature * data.qacc + data.qfrc_bias)
+            mj.dof_frictionloss[at_v] = friction + load * moving[at_v]
         _take_steps(mj, data, steps)
     if not np.isfinite(found).all() or np.abs(found - commands.q[rows]).max() > LOST:
         raise SimulationError(
@@ -210,21 +216,6 @@ def _base_placer(
         data.qfrc_applied[of_v] = HEAVY * held[sample]
 
     return place
-
-
-def _link_torque(mj: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Return the size (nv,) of the torque that moves the links, without that of armature."""
-    known = np.empty(mj.nv)
-    mujoco.mj_mulM(mj, data, known, data.qacc)
-    return np.asarray(np.abs(known - mj.dof_armature * data.qacc + data.qfrc_bias))
-
-
-def _motors(mj: mujoco.MjModel, dofs: Sequence[int]) -> list[int]:
-    """Return the actuator of each joint, by its index in v."""
-    # The first index of a transmission is that of a tendon, site or body in other kinds.
-    of_joint = np.flatnonzero(mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT))
-    moved = mj.jnt_dofadr[mj.actuator_trnid[of_joint, 0]].tolist()
-    return [int(of_joint[moved.index(dof)]) for dof in dofs]
 
 
 def _controls(commands: Commands, steps: Array, each: int) -> Array:
@@ -262,21 +253,18 @@ def _take_steps(mj: mujoco.MjModel, data: mujoco.MjData, controls: Array) -> Non
         mujoco.mj_step(mj, data)
 
 
-def _set_gains(mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, sample: int) -> None:
-    """Set the gains of a sample."""
+def _set_motors(
+    mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, sample: int, v: Array
+) -> None:
+    """Set the gains of a sample, and the limits at velocities (k,) where they fall with them."""
     kp, kd = commands.kp[sample], commands.kd[sample]
     mj.actuator_gainprm[motors, 0] = kp
     mj.actuator_biasprm[motors, 1], mj.actuator_biasprm[motors, 2] = -kp, -kd
-
-
-def _set_limits(mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, v: Array) -> None:
-    """Set the limits of motors at velocities (k,), where they fall with them."""
     if commands.line is not None:
         # The bias of `_add_motor` is a part of the force that is limited.
         offset = -mj.actuator_biasprm[motors, 0]
-        mj.actuator_forcerange[motors] = (
-            np.stack(commands.torque_limits(v), axis=1) - offset[:, None]
-        )
+        limits = np.stack(commands.torque_limits(v), axis=1)
+        mj.actuator_forcerange[motors] = limits - offset[:, None]
 
 
 def rollout_error(robot: RobotModel, drives: Drives, commands: Commands, rows: slice) -> Array:

@@ -31,7 +31,7 @@ class ActuatorsTask(TaskDefinition):
     commands: ClassVar[Mapping[str, str]] = {
         "identify": "sysid_bench.apps.actuators.commands.identify_actuators:identify_actuators",
         "excite": "sysid_bench.apps.actuators.commands.excite_actuators:commands_request",
-        "diagnose": "sysid_bench.apps.actuators.commands.diagnose_commands:command_delay",
+        "diagnose": "sysid_bench.apps.actuators.commands.identify_actuators:command_delay",
     }
     supports_recordings: ClassVar[bool] = True
 

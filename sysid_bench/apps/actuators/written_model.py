@@ -5,7 +5,7 @@ Fields of the text are those of mjlab 1.6 (`BuiltinPositionActuatorCfg`) and Isa
 (`DelayedPDActuatorCfg`), whose delays are counted in steps of the physics."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -140,20 +140,21 @@ def _mjlab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: flo
 
 
 def _isaaclab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: float) -> str:
-    columns: dict[str, Callable[[JointSettings], float]] = {
-        "stiffness": lambda one: one.kp, "damping": lambda one: one.kd,
-        "armature": lambda one: one.armature, "friction": lambda one: one.friction,
-        "dynamic_friction": lambda one: one.friction, "viscous_friction": lambda one: one.damping,
+    columns = {
+        "stiffness": "kp", "damping": "kd", "armature": "armature", "friction": "friction",
+        "dynamic_friction": "friction", "viscous_friction": "damping",
     }  # fmt: skip
     if not any(np.isinf(one.limit) for one in joints.values()):
-        columns["effort_limit"] = lambda one: one.limit
+        columns["effort_limit"] = "limit"
     lines = [
         f"# Isaac Lab; delays in physics steps of {1e3 * step:g} ms, friction in N m",
         "actuator = DelayedPDActuatorCfg(",
         f"    joint_names_expr=[{', '.join(_pattern(name) for name in joints)}],",
     ]
     for field, value in columns.items():
-        words = ", ".join(f"{_pattern(name)}: {value(one):.6g}" for name, one in joints.items())
+        words = ", ".join(
+            f"{_pattern(name)}: {getattr(one, value):.6g}" for name, one in joints.items()
+        )
         lines.append(f"    {field}={{{words}}},")
     return "\n".join([*lines, f"    min_delay={lags[0]}, max_delay={lags[1]},", ")"])
 

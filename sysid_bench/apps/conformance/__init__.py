@@ -12,12 +12,12 @@ from sysid_bench.apps.conformance.estimator import (
     TestProblem,
     assert_conforms,
     check,
-    check_metric_plugin,
     estimator_cases,
     estimator_problems,
 )
 from sysid_bench.apps.conformance.findings import Finding, failed_checks
 from sysid_bench.apps.conformance.log_reader_checks import check_log_reader
+from sysid_bench.apps.conformance.metric import check_metric_plugin
 from sysid_bench.apps.conformance.motion_checks import check_excitation, check_simulation
 from sysid_bench.apps.conformance.pipeline import check_pipeline
 from sysid_bench.apps.conformance.task_checks import check_task

@@ -1,11 +1,11 @@
-"""What all conformance kits share: the loop over laws and cases, its findings, and the hash that
-detects a changed input."""
+"""What all conformance kits share: laws, the loop over them and over cases, its findings, and the
+hash that detects a changed input."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import partial
-from typing import Any, Final
+from functools import cache, partial
+from typing import Any, ClassVar, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -16,11 +16,10 @@ from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Trajectory
 
-Laws = Mapping[str, Callable[..., str | None]]
-"""Law by name: (plug-in, case, its result) -> description of the violation, or None."""
-
 UNCHANGED: Final = "leaves its input unchanged"
 """Name of the law that every kit has."""
+
+C = TypeVar("C", bound="KitCase")
 
 
 @dataclass(frozen=True)
@@ -39,54 +38,89 @@ def failed_checks(findings: Sequence[Finding]) -> list[str]:
     return [f"{f.law} ({f.case}): {f.message}" for f in findings if not f.passed]
 
 
-@dataclass(frozen=True)
-class Kit:
-    """How plug-ins of a kind are checked on a case, which has a `name`.
+class Law:
+    """Decorator of the methods of a kit that are laws: each returns a description of the violation,
+    or None. `first`: the others are checked where it holds, and compute with arrays of the right
+    shape. `of`: kinds of results that have to keep it; none named: all but "none"."""
 
-    `run(plugin, case)` gives the result that laws look at; an exception of it violates the law
-    `runs`. `laws(case, result)` are tables of laws, each checked where those before hold: later
-    ones compute with arrays of the right shape. `given(case)` holds the arrays that the plug-in
-    has to leave as they are, or `changed` is reported.
-    """
+    check: Callable[[Any], str | None]
 
-    runs: str
-    run: Callable[[Any, Any], Any]
-    laws: Callable[[Any, Any], Iterable[Laws]]
-    given: Callable[[Any], Any]
-    changed: str
+    def __init__(self, name: str, first: bool = False, of: Sequence[str] = ()) -> None:
+        self.name, self.first, self.of = name, first, of
 
-    def findings(self, plugin: Any, cases: Iterable[Any]) -> list[Finding]:
-        """Findings of all laws on all cases."""
-        return [finding for case in cases for finding in self._findings_on(plugin, case)]
+    def __call__(self, check: Callable[[Any], str | None]) -> "Law":
+        self.check = check
+        return self
 
-    def _findings_on(self, plugin: Any, case: Any) -> list[Finding]:
-        before = data_hash(self.given(case))
+
+@dataclass(frozen=True, eq=False)
+class KitCase:
+    """What a plug-in is checked on."""
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion(KitCase):
+    """A robot and a motion of its joints."""
+
+    robot: RobotModel
+    motion: Trajectory
+
+
+class Kit(Generic[C]):
+    """The laws of a kind of plug-in, and what they are checked with: a plug-in, a case, and the
+    `result` that `run` gives, whose exceptions violate the law `runs`."""
+
+    runs: ClassVar[str]
+    changed: ClassVar[str] = "it changed its input"
+
+    def __init__(self, plugin: Any, case: C) -> None:
+        self.plugin, self.case = plugin, case
+        self.result: Any = None
+
+    def run(self) -> Any:
+        """Result that laws look at."""
+        return None
+
+    def kind(self) -> str:
+        """Kind of the result: it selects laws; there are none for "none"."""
+        return ""
+
+    def given(self) -> Any:
+        """What holds the arrays that the plug-in has to leave as they are."""
+        return ()
+
+    def findings(self) -> list[Finding]:
+        """Findings of all laws that apply."""
+        before, name = data_hash(self.given()), self.case.name
         found: list[Finding] = []
         try:
-            result = self.run(plugin, case)
+            self.result = self.run()
         except Exception as error:
-            found.append(finding_of_error(error, self.runs, case.name))
+            found.append(finding_of_error(error, self.runs, name))
         else:
-            for laws in self.laws(case, result):
-                found += findings_of(laws, case.name, plugin, case, result)
-                if failed_checks(found):
-                    break
-        if data_hash(self.given(case)) != before:
-            found.append(Finding(UNCHANGED, case.name, False, self.changed))
+            kind, laws = self.kind(), [x for x in vars(type(self)).values() if isinstance(x, Law)]
+            laws = [law for law in laws if kind in law.of or (not law.of and kind != "none")]
+            for part in (True, False):
+                if not failed_checks(found):
+                    found += [self._finding(law) for law in laws if law.first == part]
+        if data_hash(self.given()) != before:
+            found.append(Finding(UNCHANGED, name, False, self.changed))
         return found
 
-
-def findings_of(laws: Laws, case: str, *arguments: Any) -> list[Finding]:
-    """Findings of all laws on one case; each law is called with the arguments and returns a
-    description of the violation or None. An exception that a law meets violates that law."""
-    findings = []
-    for name, law in laws.items():
+    def _finding(self, law: Law) -> Finding:
+        """An exception that a law meets violates that law."""
         try:
-            message = law(*arguments)
+            message = law.check(self)
         except Exception as error:
             message = f"it raised {reason_of(error)}"
-        findings.append(Finding(name, case, message is None, message or ""))
-    return findings
+        return Finding(law.name, self.case.name, message is None, message or "")
+
+    @classmethod
+    def check(cls, plugin: Any, cases: Iterable[C]) -> list[Finding]:
+        """Findings on all cases."""
+        return [finding for case in cases for finding in cls(plugin, case).findings()]
 
 
 def finding_of_error(error: Exception, law: str, case: str) -> Finding:
@@ -107,19 +141,15 @@ def data_hash(value: Any) -> str:
 def _arrays(value: Any) -> Iterator[Array]:
     if isinstance(value, np.ndarray):
         yield value
-    for part in _parts(value):
-        yield from _arrays(part)
-
-
-def _parts(value: Any) -> Sequence[Any]:
-    """Contents of a container; nothing for other values."""
+    parts: Sequence[Any] = ()
     if isinstance(value, partial):
-        return value.args
-    if isinstance(value, (tuple, list)):
-        return value
-    if is_dataclass(value) and not isinstance(value, type):
-        return [getattr(value, field.name) for field in fields(value)]
-    return ()
+        parts = value.args
+    elif isinstance(value, (tuple, list)):
+        parts = value
+    elif is_dataclass(value) and not isinstance(value, type):
+        parts = [getattr(value, field.name) for field in fields(value)]
+    for part in parts:
+        yield from _arrays(part)
 
 
 def shape_error(name: str, array: Array, shape: tuple[int, ...]) -> str | None:
@@ -145,6 +175,13 @@ def motion_of_kit(
     """A Fourier series of the robot's joints, sampled at `rate` (Hz), the same in each call."""
     brief = design_problem(robot, rate)
     return Fourier(period=period, cycles=cycles).design(brief, np.random.default_rng(1))
+
+
+@cache
+def robots_in_motion(*named: tuple[str, str]) -> tuple[RobotMotion, ...]:
+    """Robots (name, payload), each along a motion sampled at 50 Hz; the same ones in each call."""
+    robots = [(name, robot_of_kit(name, payload)) for name, payload in named]
+    return tuple(RobotMotion(name, robot, motion_of_kit(robot, 50.0)) for name, robot in robots)
 
 
 def without_error(error: Any) -> Any:

@@ -16,21 +16,19 @@ import numpy as np
 from pyarrow import array, parquet, table
 from scipy.io import savemat
 
-from sysid_bench.apps.conformance.findings import Finding, Kit, Laws, findings_of
+from sysid_bench.apps.conformance.findings import Finding, Kit, KitCase, Law
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.signals.log_library import log_library
 from sysid_bench.signals.log_table import LogTable
 from sysid_bench.types import Array
 
 JOINT_STATE: Final = "sensor_msgs/msg/JointState"
-READS: Final = "reads a recorded file"
 
 
 @dataclass(frozen=True, eq=False)
-class _LogCase:
+class _LogCase(KitCase):
     """A recorded file that the reader has to read."""
 
-    name: str
     file: Path
 
 
@@ -40,11 +38,11 @@ def check_log_reader(reader: Any, file: Path | None = None) -> list[Finding]:
 
     Raises UsageError where the kit has no file to read.
     """
-    findings = findings_of(DECLARED, "its declaration", reader)
+    findings = _DeclarationKit.check(reader, [KitCase("its declaration")])
     if not findings[0].passed:  # files are chosen by suffix
         return findings
     if file is not None:
-        return findings + _LOG_READER_KIT.findings(reader, [_LogCase(file.name, file)])
+        return findings + _LogReaderKit.check(reader, [_LogCase(file.name, file)])
     folders = getattr(reader, "folder_files", ())[:1]
     formats = [suffix for suffix in (*reader.suffixes, *folders) if suffix in WRITERS]
     if not formats:
@@ -58,129 +56,102 @@ def check_log_reader(reader: Any, file: Path | None = None) -> list[Finding]:
             written = Path(folder, f"written{suffix}" if suffix.startswith(".") else "written")
             WRITERS[suffix](written)
             case = _LogCase(f"a {suffix} file of the kit", written)
-            findings += _LOG_READER_KIT.findings(reader, [case])
+            findings += _LogReaderKit.check(reader, [case])
     return findings
 
 
-def _table_laws(case: _LogCase, table: Any) -> Iterator[Laws]:
-    yield LOG_LAWS if isinstance(table, LogTable) else {READS: _is_no_table}
+class _DeclarationKit(Kit[KitCase]):
+    @Law("declares its suffixes")
+    def suffixes(self) -> str | None:
+        wrong = [s for s in self.plugin.suffixes if not s.startswith(".") or s != s.lower()]
+        return f"suffixes: {wrong[0]!r} must start with a dot and be lower case" if wrong else None
 
-
-def _is_no_table(reader: Any, case: _LogCase, table: Any) -> str:
-    return f"read() returned {type(table).__name__}, not a LogTable"
-
-
-def _has_suffixes(reader: Any) -> str | None:
-    wrong = [s for s in reader.suffixes if not s.startswith(".") or s != s.lower()]
-    return f"suffixes: {wrong[0]!r} must start with a dot and be lower case" if wrong else None
-
-
-def _can_be_hashed(reader: Any) -> str | None:
-    """Tables are cached by reader and file."""
-    try:
-        hash(reader)
-    except TypeError:
-        return "it cannot be hashed: make it a frozen dataclass"
-    return None
-
-
-def _gives_numbers(reader: Any, case: _LogCase, table: LogTable) -> str | None:
-    """Floats (N, c), N and c above zero, some of them finite."""
-    values = table.values
-    if values.ndim != 2 or values.dtype.kind != "f" or not values.size:
-        return f"values are {values.dtype} {values.shape}; floats (N, c) are required"
-    return None if np.isfinite(values).any() else "values hold no finite number"
-
-
-def _names_columns(reader: Any, case: _LogCase, table: LogTable) -> str | None:
-    """Names stand for columns of the table."""
-    columns = range(table.values.shape[1])
-    outside = [name for name, indices in table.names.items() if not set(indices) <= set(columns)]
-    if not outside:
-        return None
-    return f"name {outside[0]!r} stands for columns outside of 0 ... {len(columns) - 1}"
-
-
-def _names_a_column_once(reader: Any, case: _LogCase, table: LogTable) -> str | None:
-    """An array may have a name besides those of its columns."""
-    single = [indices for indices in table.names.values() if len(indices) == 1]
-    return "two names stand for the same column" if len(set(single)) < len(single) else None
-
-
-def _is_deterministic(reader: Any, case: _LogCase, table: LogTable) -> str | None:
-    again = reader.read(case.file)
-    # Empty cells are NaN, which equals nothing.
-    same = np.array_equal(table.values, again.values, equal_nan=True)
-    if same and dict(table.names) == dict(again.names):
-        return None
-    return "two calls return different tables"
-
-
-def _refuses_an_empty_file(reader: Any, case: _LogCase, table: LogTable) -> str | None:
-    return _accepts_damage("an empty file", reader, case, table, 0.0)
-
-
-def _refuses_a_truncated_file(reader: Any, case: _LogCase, table: LogTable) -> str | None:
-    """A format of lines may yield fewer samples: a logger that was stopped leaves such files."""
-    return _accepts_damage("a truncated file", reader, case, table, 0.5)
-
-
-def _accepts_damage(
-    damage: str, reader: Any, case: _LogCase, table: LogTable, share: float
-) -> str | None:
-    """Violation where this share of the bytes of the file, or of the largest one in a folder, gives
-    neither a UsageError nor fewer samples than all of it."""
-    with tempfile.TemporaryDirectory() as folder:
-        damaged = _copied(case.file, Path(folder))
-        largest = max(_files(damaged), key=lambda file: file.stat().st_size)
-        largest.write_bytes(largest.read_bytes()[: int(share * largest.stat().st_size)])
+    @Law("can be hashed")
+    def hashable(self) -> str | None:
+        """Tables are cached by reader and file."""
         try:
-            left = len(reader.read(damaged).values)
-        except UsageError:
-            return None
-        except Exception as error:
-            return f"{damage} raised {reason_of(error)}; raise UsageError"
-    if 0 < left < len(table.values):
+            hash(self.plugin)
+        except TypeError:
+            return "it cannot be hashed: make it a frozen dataclass"
         return None
-    return f"{damage} gives {left} samples; raise UsageError"
 
 
-def _copied(recording: Path, folder: Path) -> Path:
-    """Copy of a recorded file or folder."""
-    copy = folder / recording.name
-    if recording.is_dir():
-        shutil.copytree(recording, copy)
-    else:
-        shutil.copyfile(recording, copy)
-    return copy
+class _LogReaderKit(Kit[_LogCase]):
+    runs = "reads a recorded file"
 
+    def run(self) -> Any:
+        return self.plugin.read(self.case.file)
 
-def _files(recording: Path) -> list[Path]:
-    if not recording.is_dir():
-        return [recording]
-    return [file for file in sorted(recording.rglob("*")) if file.is_file()]
+    def kind(self) -> str:
+        return "table" if isinstance(self.result, LogTable) else "other"
 
+    @Law(runs, of=("other",))
+    def no_table(self) -> str | None:
+        return f"read() returned {type(self.result).__name__}, not a LogTable"
 
-DECLARED: Final[dict[str, Callable[[Any], str | None]]] = {
-    "declares its suffixes": _has_suffixes,
-    "can be hashed": _can_be_hashed,
-}
-LOG_LAWS: Final[Laws] = {
-    "gives numbers": _gives_numbers,
-    "names columns of its table": _names_columns,
-    "names a column once": _names_a_column_once,
-    "is deterministic": _is_deterministic,
-    "refuses an empty file": _refuses_an_empty_file,
-    "refuses a truncated file": _refuses_a_truncated_file,
-}
+    @Law("gives numbers", of=("table",))
+    def numbers(self) -> str | None:
+        """Floats (N, c), N and c above zero, some of them finite."""
+        values = self.result.values
+        if values.ndim != 2 or values.dtype.kind != "f" or not values.size:
+            return f"values are {values.dtype} {values.shape}; floats (N, c) are required"
+        return None if np.isfinite(values).any() else "values hold no finite number"
 
-_LOG_READER_KIT: Final = Kit(
-    runs=READS,
-    run=lambda reader, case: reader.read(case.file),
-    laws=_table_laws,
-    given=lambda case: (),  # a file, which holds no arrays
-    changed="",
-)
+    @Law("names columns of its table", of=("table",))
+    def names(self) -> str | None:
+        columns = set(range(self.result.values.shape[1]))
+        outside = [name for name, at in self.result.names.items() if not set(at) <= columns]
+        if not outside:
+            return None
+        return f"name {outside[0]!r} stands for columns outside of 0 ... {len(columns) - 1}"
+
+    @Law("names a column once", of=("table",))
+    def unique(self) -> str | None:
+        """An array may have a name besides those of its columns."""
+        single = [indices for indices in self.result.names.values() if len(indices) == 1]
+        return "two names stand for the same column" if len(set(single)) < len(single) else None
+
+    @Law("is deterministic", of=("table",))
+    def repeats(self) -> str | None:
+        table, again = self.result, self.run()
+        # Empty cells are NaN, which equals nothing.
+        same = np.array_equal(table.values, again.values, equal_nan=True)
+        if same and dict(table.names) == dict(again.names):
+            return None
+        return "two calls return different tables"
+
+    @Law("refuses an empty file", of=("table",))
+    def empty(self) -> str | None:
+        return self._accepts_damage("an empty file", 0.0)
+
+    @Law("refuses a truncated file", of=("table",))
+    def truncated(self) -> str | None:
+        """A format of lines may yield fewer samples, as a logger that was stopped leaves them."""
+        return self._accepts_damage("a truncated file", 0.5)
+
+    def _accepts_damage(self, damage: str, share: float) -> str | None:
+        """Violation where this share of the bytes of the file, or of the largest one in a folder,
+        gives neither a UsageError nor fewer samples than all of it."""
+        file = self.case.file
+        with tempfile.TemporaryDirectory() as folder:
+            damaged = Path(folder, file.name)
+            if file.is_dir():
+                shutil.copytree(file, damaged)
+                files = [one for one in sorted(damaged.rglob("*")) if one.is_file()]
+            else:
+                files = [Path(shutil.copyfile(file, damaged))]
+            largest = max(files, key=lambda file: file.stat().st_size)
+            largest.write_bytes(largest.read_bytes()[: int(share * largest.stat().st_size)])
+            try:
+                left = len(self.plugin.read(damaged).values)
+            except UsageError:
+                return None
+            except Exception as error:
+                return f"{damage} raised {reason_of(error)}; raise UsageError"
+        if 0 < left < len(self.result.values):
+            return None
+        return f"{damage} gives {left} samples; raise UsageError"
+
 
 _NAMES: Final = ("t", "q1", "q2", "tau1", "tau2")
 

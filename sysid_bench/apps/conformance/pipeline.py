@@ -14,7 +14,8 @@ import numpy as np
 from sysid_bench.apps.conformance.findings import (
     Finding,
     Kit,
-    Laws,
+    KitCase,
+    Law,
     first_error,
     motion_of_kit,
     robot_of_kit,
@@ -36,10 +37,9 @@ of the start of a recursive filter there. A delay of one sample makes about 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class _PipelineCase:
+class _PipelineCase(KitCase):
     """A recording of a robot's joints, with exact v and a."""
 
-    name: str
     recording: Recording
     joints: tuple[Joint, ...]
 
@@ -77,81 +77,125 @@ def pipeline_cases() -> tuple[_PipelineCase, ...]:
 
 def check_pipeline(pipeline: Any) -> list[Finding]:
     """Findings of all laws on an arm that moves and on one at rest."""
-    return _PIPELINE_KIT.findings(pipeline, pipeline_cases())
+    return _PipelineKit.check(pipeline, pipeline_cases())
 
 
-def _gives_signals(pipeline: Any, case: _PipelineCase, result: Any) -> str | None:
-    """ProcessedSignals with t, q, v, a and tau (N, ...), all finite, N at least ten."""
-    if not isinstance(result, ProcessedSignals):
-        return f"process returned {type(result).__name__}, not ProcessedSignals"
-    given, found = case.recording, result.recording
-    if found.v is None or found.a is None:
-        return "its recording has no v and a"
-    if not isinstance(result.rows, RowProcessing):
-        return f"its rows are a {type(result.rows).__name__}, not a RowProcessing"
-    N = len(found.t)
-    if not 10 <= N <= len(given):
-        return f"it keeps {N} of {len(given)} samples"
-    n = given.tau.shape[1]
-    shapes = {"t": (N,), "q": (N, given.q.shape[1]), "v": (N, n), "a": (N, n), "tau": (N, n)}
-    return first_error(shape_error(x, getattr(found, x), size) for x, size in shapes.items())
+class _PipelineKit(Kit[_PipelineCase]):
+    runs = "processes a recording"
+    changed = "it changed the recording"
 
+    def run(self) -> Any:
+        return self.plugin.process(self.case.recording, self.case.joints)
 
-def _keeps_the_times(pipeline: Any, case: _PipelineCase, result: ProcessedSignals) -> str | None:
-    found, given = result.recording, case.recording
-    if found.rate != given.rate or not np.isin(found.t, given.t).all():
-        return "its samples are not those of the recording; decimation belongs to the rows"
-    return None
+    def kind(self) -> str:
+        return self.case.name
 
+    def given(self) -> Any:
+        return self.case.recording
 
-def _is_reproducible(pipeline: Any, case: _PipelineCase, result: ProcessedSignals) -> str | None:
-    again = pipeline.process(case.recording, case.joints).recording
-    for name in ("t", "q", "v", "a", "tau"):
-        if not np.array_equal(getattr(again, name), getattr(result.recording, name)):
-            return f"{name} differs from one call to the next"
-    return None
+    def _applied(self, x: Array) -> Array:
+        recording = self.result.recording
+        return np.asarray(self.result.rows.apply(x, np.ones(len(x)), recording.rate))
 
+    @Law("returns processed signals", first=True)
+    def signals(self) -> str | None:
+        """ProcessedSignals with t, q, v, a and tau (N, ...), all finite, N at least ten."""
+        if not isinstance(self.result, ProcessedSignals):
+            return f"process returned {type(self.result).__name__}, not ProcessedSignals"
+        given, found = self.case.recording, self.result.recording
+        if found.v is None or found.a is None:
+            return "its recording has no v and a"
+        if not isinstance(self.result.rows, RowProcessing):
+            return f"its rows are a {type(self.result.rows).__name__}, not a RowProcessing"
+        N = len(found.t)
+        if not 10 <= N <= len(given):
+            return f"it keeps {N} of {len(given)} samples"
+        n = given.tau.shape[1]
+        shapes = {"t": (N,), "q": (N, given.q.shape[1]), "v": (N, n), "a": (N, n), "tau": (N, n)}
+        return first_error(shape_error(x, getattr(found, x), size) for x, size in shapes.items())
 
-def _passes_constants(pipeline: Any, case: _PipelineCase, result: ProcessedSignals) -> str | None:
-    """Constant positions and torques stay, their rates are zero; so do constant rows."""
-    found, given, motion = result.recording, case.recording, result.recording.motion
-    errors = {
-        "q": np.abs(found.q - given.q[0]).max(),
-        "tau": np.abs(found.tau - given.tau[0]).max(),
-        # Rounding of positions, differentiated twice.
-        "v": np.abs(motion.v).max() / RATE,
-        "a": np.abs(motion.a).max() / RATE**2,
-        "the rows": np.abs(_applied(result, np.ones((len(found), 1))) - 1.0).max(),
-    }
-    name = max(errors, key=lambda key: float(errors[key]))
-    if errors[name] <= LINEAR:
+    @Law("passes constant signals", of=("rest",))
+    def constants(self) -> str | None:
+        """Constant positions and torques stay, their rates are zero; so do constant rows."""
+        found, given = self.result.recording, self.case.recording
+        errors = {
+            "q": np.abs(found.q - given.q[0]).max(),
+            "tau": np.abs(found.tau - given.tau[0]).max(),
+            # Rounding of positions, differentiated twice.
+            "v": np.abs(found.motion.v).max() / RATE,
+            "a": np.abs(found.motion.a).max() / RATE**2,
+            "the rows": np.abs(self._applied(np.ones((len(found), 1))) - 1.0).max(),
+        }
+        name = max(errors, key=lambda key: float(errors[key]))
+        if errors[name] <= LINEAR:
+            return None
+        return f"at rest {name} changes by {errors[name]:.2g} (SI units and samples)"
+
+    @Law("keeps the times", of=("motion",))
+    def times(self) -> str | None:
+        found, given = self.result.recording, self.case.recording
+        if found.rate != given.rate or not np.isin(found.t, given.t).all():
+            return "its samples are not those of the recording; decimation belongs to the rows"
         return None
-    return f"at rest {name} changes by {errors[name]:.2g} (SI units and samples)"
 
+    @Law("is reproducible", of=("motion",))
+    def repeats(self) -> str | None:
+        again = self.run().recording
+        for name in ("t", "q", "v", "a", "tau"):
+            if not np.array_equal(getattr(again, name), getattr(self.result.recording, name)):
+                return f"{name} differs from one call to the next"
+        return None
 
-def _has_no_phase(pipeline: Any, case: _PipelineCase, result: ProcessedSignals) -> str | None:
-    """The recording played backwards gives the result backwards."""
-    given, motion = case.recording, case.recording.motion
-    turned = replace(
-        given,
-        q=given.q[::-1].copy(),
-        tau=given.tau[::-1].copy(),
-        v=-motion.v[::-1],
-        a=motion.a[::-1].copy(),
-    )
-    back = pipeline.process(turned, case.joints)
-    signs = {"q": 1.0, "v": -1.0, "a": 1.0, "tau": 1.0}
-    pairs = {
-        name: (getattr(result.recording, name), sign * getattr(back.recording, name)[::-1])
-        for name, sign in signs.items()
-    }
-    x = result.recording.tau
-    full = replace(result.rows, step=1)
-    weights = np.ones(len(x))
-    pairs["the rows"] = (
-        full.apply(x, weights, given.rate), full.apply(x[::-1].copy(), weights, given.rate)[::-1]
-    )  # fmt: skip
-    return first_error(_asymmetry(name, *pair) for name, pair in pairs.items())
+    @Law("has no phase", of=("motion",))
+    def phase(self) -> str | None:
+        """The recording played backwards gives the result backwards."""
+        given, motion = self.case.recording, self.case.recording.motion
+        turned = replace(
+            given,
+            q=given.q[::-1].copy(),
+            tau=given.tau[::-1].copy(),
+            v=-motion.v[::-1],
+            a=motion.a[::-1].copy(),
+        )
+        back = self.plugin.process(turned, self.case.joints).recording
+        signs = {"q": 1.0, "v": -1.0, "a": 1.0, "tau": 1.0}
+        pairs = {
+            name: (getattr(self.result.recording, name), sign * getattr(back, name)[::-1])
+            for name, sign in signs.items()
+        }
+        x, full = self.result.recording.tau, replace(self.result.rows, step=1)
+        rows = [full.apply(x, np.ones(len(x)), given.rate) for x in (x, x[::-1].copy())]
+        pairs["the rows"] = (rows[0], rows[1][::-1])
+        return first_error(_asymmetry(name, *pair) for name, pair in pairs.items())
+
+    @Law("treats W and b alike", of=("motion",))
+    def linear(self) -> str | None:
+        """Rows are processed linearly, so that W beta = b holds afterwards."""
+        rng = np.random.default_rng(3)
+        W, beta = rng.normal(size=(len(self.result.recording), 4)), rng.normal(size=(4, 1))
+        error = np.abs(self._applied(W) @ beta - self._applied(W @ beta)).max()
+        return None if error <= LINEAR * len(W) else f"its rows break W beta = b by {error:.2g}"
+
+    @Law("counts what it leaves out", of=("motion",))
+    def counts(self) -> str | None:
+        """Rows that count with weight zero have no influence, and `count` has the number of
+        others."""
+        v, rows = self.result.recording.motion.v, self.result.rows
+        pause = v.copy()
+        pause[: len(v) // 4] = 0.0
+        weights = rows.weights(pause)
+        if weights.shape != v.shape or not ((weights >= 0) & (weights <= 1)).all():
+            return f"weights has the shape {weights.shape} and values outside 0 to 1"
+        first = weights[:, 0]
+        ones = np.ones((len(v), 1))
+        rate, left_out = self.case.recording.rate, (first == 0)[:, None]
+        clean, marked = (rows.apply(x, first, rate) for x in (ones, np.where(left_out, 1e3, ones)))
+        if not np.array_equal(clean, marked):
+            return "rows with weight zero still have an influence"
+        expected = np.count_nonzero(first) * len(clean) / len(v)
+        if abs(rows.count(first) - expected) <= 1.0:
+            return None
+        return f"it counts {rows.count(first)} rows; about {expected:.0f} are not left out"
 
 
 def _asymmetry(name: str, forward: Array, backward: Array) -> str | None:
@@ -163,60 +207,3 @@ def _asymmetry(name: str, forward: Array, backward: Array) -> str | None:
     if share <= SYMMETRIC:
         return None
     return f"played backwards, {name} differs by {100 * share:.2g} % of its range: it has a phase"
-
-
-def _treats_w_and_b_alike(
-    pipeline: Any, case: _PipelineCase, result: ProcessedSignals
-) -> str | None:
-    """Rows are processed linearly, so that W beta = b holds afterwards."""
-    rng = np.random.default_rng(3)
-    W, beta = rng.normal(size=(len(result.recording), 4)), rng.normal(size=(4, 1))
-    error = np.abs(_applied(result, W) @ beta - _applied(result, W @ beta)).max()
-    return None if error <= LINEAR * len(W) else f"its rows break W beta = b by {error:.2g}"
-
-
-def _counts_what_it_leaves_out(
-    pipeline: Any, case: _PipelineCase, result: ProcessedSignals
-) -> str | None:
-    """Rows that count with weight zero have no influence, and `count` has the number of others."""
-    v, rows = result.recording.motion.v, result.rows
-    pause = v.copy()
-    pause[: len(v) // 4] = 0.0
-    weights = rows.weights(pause)
-    if weights.shape != v.shape or not ((weights >= 0) & (weights <= 1)).all():
-        return f"weights has the shape {weights.shape} and values outside 0 to 1"
-    first = weights[:, 0]
-    ones = np.ones((len(v), 1))
-    rate, left_out = case.recording.rate, (first == 0)[:, None]
-    clean, marked = (rows.apply(x, first, rate) for x in (ones, np.where(left_out, 1e3, ones)))
-    if not np.array_equal(clean, marked):
-        return "rows with weight zero still have an influence"
-    expected = np.count_nonzero(first) * len(clean) / len(v)
-    if abs(rows.count(first) - expected) <= 1.0:
-        return None
-    return f"it counts {rows.count(first)} rows; about {expected:.0f} are not left out"
-
-
-def _applied(result: ProcessedSignals, x: Array) -> Array:
-    return result.rows.apply(x, np.ones(len(x)), result.recording.rate)
-
-
-RESTING: Final[Laws] = {"passes constant signals": _passes_constants}
-
-MOVING: Final[Laws] = {
-    "keeps the times": _keeps_the_times,
-    "is reproducible": _is_reproducible,
-    "has no phase": _has_no_phase,
-    "treats W and b alike": _treats_w_and_b_alike,
-    "counts what it leaves out": _counts_what_it_leaves_out,
-}
-
-_PIPELINE_KIT: Final = Kit(
-    runs="processes a recording",
-    run=lambda pipeline, case: pipeline.process(case.recording, case.joints),
-    laws=lambda case, result: (
-        {"returns processed signals": _gives_signals}, RESTING if case.name == "rest" else MOVING,
-    ),
-    given=lambda case: case.recording,
-    changed="it changed the recording",
-)  # fmt: skip

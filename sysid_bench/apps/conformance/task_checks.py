@@ -4,16 +4,16 @@ Torques are linear in the composite parameters of links and in joint terms, so t
 parameters mean equal torques for every motion.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.apps.conformance.findings import Finding, Kit, Laws, robot_of_kit
+from sysid_bench.apps.conformance.findings import Finding, Kit, KitCase, Law, robot_of_kit
 from sysid_bench.errors import UnsupportedError, UsageError
-from sysid_bench.experiments.tasks.task import Task, TaskDefinition, columns_of
+from sysid_bench.experiments.tasks.task import TaskDefinition, columns_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
 from sysid_bench.types import Array
@@ -24,14 +24,11 @@ TOLERANCE: Final = 1e-9
 TERMS: Final = ("viscous", "coulomb")
 """Joint terms that are unknown besides, for tasks that accept terms."""
 
-POSED: Final = "poses its unknowns"
-
 
 @dataclass(frozen=True, eq=False)
-class TaskProblem:
+class TaskProblem(KitCase):
     """A robot to pose the task for, and what else is asked of it."""
 
-    name: str
     robot: RobotModel
     terms: tuple[str, ...] = ()
     sensor: str | None = None
@@ -69,141 +66,108 @@ def check_task(
                 for case in cases
             )
             cases = [case for pair in zip(cases, with_terms, strict=True) for case in pair]
-    refused = Finding(POSED, "all robots", False, "it refused every robot with UnsupportedError")
-    return _TASK_KIT.findings(definition, cases) or [refused]
+    message = "it refused every robot with UnsupportedError"
+    refused = Finding(_TaskKit.runs, "all robots", False, message)
+    return _TaskKit.check(definition, cases) or [refused]
 
 
-def _posed(definition: TaskDefinition, case: TaskProblem) -> Task | None:
-    """The task for a robot, None where it is refused."""
-    try:
-        return definition.unknowns(case.robot, case.terms, case.sensor, None)
-    except UnsupportedError:
+class _TaskKit(Kit[TaskProblem]):
+    """`result`: the task for a robot, None where it is refused."""
+
+    runs = "poses its unknowns"
+    changed = "it changed the robot"
+
+    def run(self) -> Any:
+        case = self.case
+        try:
+            return self.plugin.unknowns(case.robot, case.terms, case.sensor, None)
+        except UnsupportedError:
+            return None
+
+    def kind(self) -> str:
+        return "none" if self.result is None else ""
+
+    def given(self) -> Any:
+        return self.case.robot.phi, self.case.robot.joint_terms
+
+    def _unknown_terms(self) -> Iterator[tuple[str, Any]]:
+        """(name, true value) of the unknowns that are not inertial."""
+        inertial = columns_of(self.result.bodies)
+        for name, value in zip(self.result.parameters, self.result.truth.theta, strict=True):
+            if name not in inertial:
+                yield name, value
+
+    @Law("names each unknown once", first=True)  # sums of parameters are found by name
+    def unique(self) -> str | None:
+        """Unique names, the ten of each unknown body among them."""
+        names = list(self.result.parameters)
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            return f"unknowns are named twice: {', '.join(twice)}"
+        absent = ", ".join(sorted(set(columns_of(self.result.bodies)) - set(names)))
+        return f"parameters of unknown bodies are missing: {absent}" if absent else None
+
+    @Law("names parameters of the robot", first=True)
+    def names(self) -> str | None:
+        """Unknowns are inertial or terms of joints; a sensor has constants of its own instead."""
+        if self.result.definition.measures_sensor_only:
+            return None
+        for name, _ in self._unknown_terms():
+            try:
+                self.case.robot.resolve_term(name)
+            except UsageError:
+                return f"the unknown {name!r} is neither a parameter of a body nor a joint term"
         return None
 
+    @Law("has finite true values")
+    def finite(self) -> str | None:
+        finite = np.isfinite(self.result.truth.theta).all()
+        return None if finite else "true values are not finite"
 
-def _names_unknowns_once(definition: TaskDefinition, case: TaskProblem, task: Task) -> str | None:
-    """Unique names, the ten of each unknown body among them."""
-    names = list(task.parameters)
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        return f"unknowns are named twice: {', '.join(twice)}"
-    absent = sorted(_inertial(task) - set(names))
-    return f"parameters of unknown bodies are missing: {', '.join(absent)}" if absent else None
+    @Law("adds up to the links of the robot")
+    def links(self) -> str | None:
+        """Composite link parameters, unknown plus given; behind a sensor, those of its sub-tree."""
+        robot, task = self.case.robot, self.result
+        tree = instruments_of(robot, task.cuts).tree
+        expected = tree.link_parameters(robot.phi)
+        error = np.abs(task.known_links + tree.link_parameters(self._unknown_phi()) - expected)
+        # Largest mass, first moment and moment of inertia, (10,).
+        kinds = (slice(0, 1), slice(1, 4), slice(4, 10))
+        # Tiny floors (kg, kg m, kg m^2): a robot without first moments would allow no rounding.
+        largest = [max(float(np.abs(expected[:, kind]).max(initial=0.0)), 1e-6) for kind in kinds]
+        apart = np.flatnonzero((error > TOLERANCE * np.repeat(largest, (1, 3, 6))).any(axis=1))
+        # Bodies whose parameters the measured rows depend on; those that do not move have the
+        # carrier -1, which is not an index of `apart`.
+        sensor_only = task.definition.measures_sensor_only
+        bodies = task.cuts[0].bodies if sensor_only else range(len(robot.body_names))
+        carriers = {int(tree.carrier[b]) for b in bodies}.intersection(apart.tolist())
+        wrong = ", ".join(sorted(robot.body_names[tree.links[k].body] for k in carriers))
+        if not wrong:
+            return None
+        return f"unknown and given parameters of {wrong} do not add up to those of the robot"
 
+    def _unknown_phi(self) -> Array:
+        """phi (nb, 10) of the unknown bodies, zero for the others."""
+        task, robot = self.result, self.case.robot
+        truth = dict(zip(task.parameters, task.truth.theta, strict=True))
+        phi = np.zeros_like(robot.phi)
+        for body in task.bodies:
+            phi[robot.body_names.index(body.name)] = [truth[column] for column in body.columns]
+        return phi
 
-def _names_parameters_of_the_robot(
-    definition: TaskDefinition, case: TaskProblem, task: Task
-) -> str | None:
-    """Unknowns are inertial or terms of joints; a sensor has constants of its own instead."""
-    if task.definition.measures_sensor_only:
-        return None
-    strange = [name for name, _ in _unknown_terms(task) if not _is_term(name, case.robot)]
-    if not strange:
-        return None
-    return f"the unknown {strange[0]!r} is neither a parameter of a body nor a joint term"
-
-
-def _is_term(name: str, robot: RobotModel) -> bool:
-    try:
-        robot.resolve_term(name)
-    except UsageError:
-        return False
-    return True
-
-
-def _has_finite_true_values(
-    definition: TaskDefinition, case: TaskProblem, task: Task
-) -> str | None:
-    return None if np.isfinite(task.truth.theta).all() else "true values are not finite"
-
-
-def _adds_up_to_the_links(definition: TaskDefinition, case: TaskProblem, task: Task) -> str | None:
-    """Composite link parameters, unknown plus given; behind a sensor, those of its sub-tree."""
-    robot = case.robot
-    tree = instruments_of(robot, task.cuts).tree
-    expected = tree.link_parameters(robot.phi)
-    error = np.abs(task.known_links + tree.link_parameters(_unknown_phi(task, robot)) - expected)
-    # Largest mass, first moment and moment of inertia, (10,).
-    kinds = (slice(0, 1), slice(1, 4), slice(4, 10))
-    # Tiny floors (kg, kg m, kg m^2): a robot without first moments would allow no rounding.
-    largest = [max(float(np.abs(expected[:, kind]).max(initial=0.0)), 1e-6) for kind in kinds]
-    apart = np.flatnonzero((error > TOLERANCE * np.repeat(largest, (1, 3, 6))).any(axis=1))
-    # Bodies that do not move have the carrier -1, which is not an index of `apart`.
-    links = {int(tree.carrier[b]) for b in _measured_bodies(task, robot)}
-    wrong = sorted(robot.body_names[tree.links[k].body] for k in links.intersection(apart.tolist()))
-    if not wrong:
-        return None
-    return f"unknown and given parameters of {', '.join(wrong)} do not add up to those of the robot"
-
-
-def _adds_up_to_the_joint_terms(
-    definition: TaskDefinition, case: TaskProblem, task: Task
-) -> str | None:
-    """Joint terms, unknown plus given; a sensor behind the joints does not measure them."""
-    if task.definition.measures_sensor_only:
-        return None
-    robot, total = case.robot, _total_terms(task, case.robot)
-    wrong = [t for t in SUFFIX if not np.allclose(total[t], getattr(robot.joint_terms, t))]
-    if not wrong:
-        return None
-    return f"unknown and given joint terms differ from the robot's: {', '.join(wrong)}"
-
-
-NAMING_LAWS: Final[Laws] = {
-    "names each unknown once": _names_unknowns_once,
-    "names parameters of the robot": _names_parameters_of_the_robot,
-}
-SUM_LAWS: Final[Laws] = {
-    "has finite true values": _has_finite_true_values,
-    "adds up to the links of the robot": _adds_up_to_the_links,
-    "adds up to the joint terms of the robot": _adds_up_to_the_joint_terms,
-}
-
-
-def _inertial(task: Task) -> set[str]:
-    """Names of the inertial parameters of the unknown bodies."""
-    return set(columns_of(task.bodies))
-
-
-def _unknown_phi(task: Task, robot: RobotModel) -> Array:
-    """phi (nb, 10) of the unknown bodies, zero for the others."""
-    truth = dict(zip(task.parameters, task.truth.theta, strict=True))
-    phi = np.zeros_like(robot.phi)
-    for body in task.bodies:
-        phi[robot.body_names.index(body.name)] = [truth[column] for column in body.columns]
-    return phi
-
-
-def _unknown_terms(task: Task) -> Iterator[tuple[str, Any]]:
-    """(name, true value) of the unknowns that are not inertial."""
-    inertial = _inertial(task)
-    for name, value in zip(task.parameters, task.truth.theta, strict=True):
-        if name not in inertial:
-            yield name, value
-
-
-def _total_terms(task: Task, robot: RobotModel) -> dict[str, Array]:
-    """Unknown plus given joint terms, (nv,) each."""
-    total = {term: task.known_terms[term].copy() for term in SUFFIX}
-    for name, value in _unknown_terms(task):
-        term, dof, other = robot.resolve_term(name)
-        # Friction between two joints is not a term of one of them.
-        total[term][dof] += value if other is None else 0.0
-    return total
-
-
-def _measured_bodies(task: Task, robot: RobotModel) -> Iterable[int]:
-    """Indices of the bodies whose parameters the measured rows depend on."""
-    if task.definition.measures_sensor_only:
-        return task.cuts[0].bodies
-    return range(len(robot.body_names))
-
-
-_TASK_KIT: Final = Kit(
-    runs=POSED,
-    run=_posed,
-    # Sums of parameters are found by name.
-    laws=lambda case, task: () if task is None else (NAMING_LAWS, SUM_LAWS),
-    given=lambda case: (case.robot.phi, case.robot.joint_terms),
-    changed="it changed the robot",
-)
+    @Law("adds up to the joint terms of the robot")
+    def joint_terms(self) -> str | None:
+        """Joint terms (nv,), unknown plus given; a sensor behind the joints does not measure
+        them."""
+        robot, task = self.case.robot, self.result
+        if task.definition.measures_sensor_only:
+            return None
+        total = {term: task.known_terms[term].copy() for term in SUFFIX}
+        for name, value in self._unknown_terms():
+            term, dof, other = robot.resolve_term(name)
+            # Friction between two joints is not a term of one of them.
+            total[term][dof] += value if other is None else 0.0
+        wrong = [t for t in SUFFIX if not np.allclose(total[t], getattr(robot.joint_terms, t))]
+        if not wrong:
+            return None
+        return f"unknown and given joint terms differ from the robot's: {', '.join(wrong)}"

@@ -6,7 +6,7 @@ Offline and without scripts; every name in them is escaped; the same text for th
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,13 +21,18 @@ from sysid_bench.apps.site.suite_version import (
     page_name,
     result_notes,
 )
-from sysid_bench.evaluation.intervals import LEVEL_TEXT
+from sysid_bench.evaluation.intervals import level_text, with_level
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting import html
 from sysid_bench.reporting.build_table import build_table
-from sysid_bench.reporting.figures import figure_svg, page_svg
+from sysid_bench.reporting.figures import figure, page_svg
 from sysid_bench.reporting.ranking import MethodRatio, Ranking
-from sysid_bench.reporting.ranking_figures import cost_svg, method_times, profile_svg
+from sysid_bench.reporting.ranking_figures import (
+    cost_by_method,
+    cost_figure,
+    method_times,
+    profile,
+)
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_of, verdict_table
 from sysid_bench.reporting.report_data import crosscheck_rows, failed_cells
 from sysid_bench.reporting.sections import experiment_lines, plant_tables, source_tables
@@ -55,53 +60,36 @@ def rank_table(ranking: Ranking) -> Table:
         rows=tuple(row for row, _ in entries),
         columns=((),),
         entries=entries,
-        own_caption=f"Rank and its {LEVEL_TEXT} interval over robots drawn again; 1 is the best.",
+        own_caption=f"Rank and its {level_text()} interval over robots drawn again; 1 is the best.",
     )
 
 
-def robot_tables(version: SuiteVersion, robot: str) -> Iterator[Table]:
-    """Median error of each method on a robot, by plant."""
-    for title, cells in _halves(version):
-        chosen = cells[cells["robot"].map(label) == robot]
-        yield from _scores(version, chosen, title, ("estimator",))
-
-
-def method_tables(version: SuiteVersion, method: str) -> Iterator[Table]:
-    """Median error of a method on each robot, by plant."""
-    for title, cells in _halves(version):
-        chosen = cells[cells["estimator"].map(label) == method]
-        yield from _scores(version, chosen, title, ("robot",))
-
-
-def median_tables(version: SuiteVersion) -> Iterator[Table]:
-    """Median error of each method on each robot."""
-    for title, cells in _halves(version):
-        yield from _scores(version, cells, title, ("robot",), ("estimator",))
-
-
-def _halves(version: SuiteVersion) -> Iterator[tuple[str, "pd.DataFrame"]]:
-    yield "Data with noise", version.with_noise()
-    yield "Exact data: errors are rounding", version.exact()
-
-
-def _scores(
+def score_tables(
     version: SuiteVersion,
-    cells: "pd.DataFrame",
-    title: str,
-    rows: Sequence[str],
-    columns: Sequence[str] = ("plant",),
+    rows: str,
+    columns: str = "plant",
+    only: tuple[str, str] | None = None,
 ) -> Iterator[Table]:
-    """A table of the version's metric; none for no cells."""
+    """Median error by two labels, of data with noise and of exact data; `only`: a label and the
+    value that cells have."""
     metric = version.score
-    if len(cells) and metric.level == METRICS["torque_error"].level and not metric.text:
-        spec = {
-            "name": "scores",
-            "title": title,
-            "rows": list(rows),
-            "columns": [name for name in columns if name in cells.columns],
-            "cells": {"metric": metric.name, "interval": "iqr"},
-        }
-        yield build_table(cells, spec, metrics=version.first.metrics)
+    if metric.level != METRICS["torque_error"].level or metric.text:
+        return
+    halves = {
+        "Data with noise": version.with_noise(),
+        "Exact data: errors are rounding": version.exact(),
+    }
+    for title, cells in halves.items():
+        chosen = cells if only is None else cells[cells[only[0]].map(label) == only[1]]
+        if len(chosen):
+            spec = {
+                "name": "scores",
+                "title": title,
+                "rows": [rows],
+                "columns": [columns] if columns in chosen.columns else [],
+                "cells": {"metric": metric.name, "interval": "iqr"},
+            }
+            yield build_table(chosen, spec, metrics=version.first.metrics)
 
 
 SCHEMA: Final = 1
@@ -114,13 +102,20 @@ def leaderboard(versions: Iterable[SuiteVersion]) -> dict[str, Any]:
     return {"schema": SCHEMA, "suites": [_suite_entry(version) for version in versions]}
 
 
-def leaderboard_text(versions: Iterable[SuiteVersion]) -> str:
-    """The same text for the same runs."""
-    return json.dumps(leaderboard(versions), indent=1, allow_nan=False) + "\n"
-
-
 def _suite_entry(version: SuiteVersion) -> dict[str, Any]:
-    counts = Counter(map(label, version.cells["status"]))
+    counts, seconds = Counter(map(label, version.cells["status"])), method_times(version.cells)
+    with version.level():
+        rankings = [
+            {
+                "name": ranking.name,
+                "title": ranking.title,
+                "metric": ranking.metric.name,
+                "against": ranking.against,
+                "margin": ranking.margin,
+                "methods": [_method(ranking, one, seconds) for one in ranking.comparisons],
+            }
+            for ranking in version.ranking_list
+        ]
     return {
         "name": version.name,
         "version": version.version,
@@ -129,7 +124,7 @@ def _suite_entry(version: SuiteVersion) -> dict[str, Any]:
         "page": f"suites/{version.page}.html",
         "cells": dict(sorted(counts.items())),
         "runs": [_run(run) for run in version.runs],
-        "rankings": [_ranking(ranking, version) for ranking in version.ranking_list],
+        "rankings": rankings,
         "limitations": result_notes(version),
     }
 
@@ -144,21 +139,7 @@ def _run(run: SiteRun) -> dict[str, Any]:
         "planned": run.planned,
         "rows": len(run.cells),
         "submission": None if submission is None else dict(vars(submission)),
-        "checked": None
-        if checked is None
-        else {"seed": checked.seed, "drawable": checked.drawable, "cells": list(checked.cells)},
-    }
-
-
-def _ranking(ranking: Ranking, version: SuiteVersion) -> dict[str, Any]:
-    seconds = method_times(version.cells)
-    return {
-        "name": ranking.name,
-        "title": ranking.title,
-        "metric": ranking.metric.name,
-        "against": ranking.against,
-        "margin": ranking.margin,
-        "methods": [_method(ranking, one, seconds) for one in ranking.comparisons],
+        "checked": None if checked is None else {**vars(checked), "cells": list(checked.cells)},
     }
 
 
@@ -195,32 +176,36 @@ def _pair(low: float | None, high: float | None) -> list[float] | None:
 LEADERBOARD: Final = "leaderboard.json"
 """The file that makes a folder a site."""
 _FOLDERS: Final = (Path(__file__).parent, Path(html.__file__).parent)
-_RANKS: Final = f"Ranks with {LEVEL_TEXT} intervals over robots drawn again; 1 is the best."
+_RANKS: Final = "Ranks with 95 % intervals over robots drawn again; 1 is the best."
 
 
 def site_pages(runs: Sequence[SiteRun]) -> dict[str, str]:
     """Text of every file of the site of some runs, by path."""
     versions = group_by_version(runs)
     robots, methods = _names(versions, "robot"), _names(versions, "estimator")
+    every = pd.concat([version.cells for version in versions], ignore_index=True)
+    index = {
+        "versions": [_summary(version) for version in versions],
+        "robots": robots,
+        "methods": methods,
+        "sources": list(source_tables(every)),
+        "submissions": [run for one in versions for run in one.runs if run.submission is not None],
+    }
     pages = {
-        "index.html": _render("index", "", _index(versions, robots, methods)),
-        LEADERBOARD: leaderboard_text(versions),
+        "index.html": _render("index", "", index),
+        LEADERBOARD: json.dumps(leaderboard(versions), indent=1, allow_nan=False) + "\n",
         SCHEMA_FILE.name: SCHEMA_FILE.read_text(encoding="utf-8"),
     }
     for version in versions:
-        pages[f"suites/{version.page}.html"] = _render("suite", "../", _suite_page(version))
-    for name in robots:
-        parts = _parts(versions, "robot", name, robot_tables)
-        pages[f"robots/{page_name(name)}.html"] = _part("Robot", name, parts)
-    for name in methods:
-        parts = _parts(versions, "estimator", name, method_tables)
-        pages[f"methods/{page_name(name)}.html"] = _part("Method", name, parts)
+        with version.level():
+            page = _render("suite", "../", _suite_page(version))
+        pages[f"suites/{version.page}.html"] = page
+    for kind, names, part in (("Robot", robots, _robot_part), ("Method", methods, _method_part)):
+        for name in names:
+            parts = [found for version in versions if (found := part(version, name))]
+            page = _render("part", "../", {"kind": kind, "name": name, "parts": parts})
+            pages[f"{kind.lower()}s/{page_name(name)}.html"] = page
     return pages
-
-
-def _part(kind: str, name: str, parts: Iterable[Mapping[str, Any]]) -> str:
-    """Page on a robot or a method."""
-    return _render("part", "../", {"kind": kind, "name": name, "parts": list(parts)})
 
 
 def _render(template: str, up: str, values: Mapping[str, Any]) -> str:
@@ -234,41 +219,28 @@ def _names(versions: Iterable[SuiteVersion], field: str) -> list[str]:
     return sorted({name for version in versions for name in map(label, version.cells[field])})
 
 
-def _index(
-    versions: Sequence[SuiteVersion], robots: Sequence[str], methods: Sequence[str]
-) -> dict[str, Any]:
-    cells = pd.concat([version.cells for version in versions], ignore_index=True)
-    entries = [run for version in versions for run in version.runs if run.submission is not None]
-    return {
-        "versions": [_summary(version) for version in versions],
-        "robots": robots,
-        "methods": methods,
-        "sources": list(source_tables(cells)),
-        "submissions": entries,
-    }
-
-
 def _summary(version: SuiteVersion) -> dict[str, Any]:
-    cells = version.cells
+    """Entry of the index; `first` names the methods whose rank may be the first: those with the
+    lowest lower end of its interval; none for few robots, which have no interval."""
+    cells, first = version.cells, []
+    with version.level():
+        for ranking in version.ranking_list:
+            ends = {name: low for name, (_, low, _) in ranking.rank_interval.items()}
+            lows = {name: low for name, low in ends.items() if np.isfinite(low)}
+            leaders = [name for name, low in lows.items() if low <= min(lows.values())]
+            first.append((ranking.title, leaders))
     return {
         "version": version,
         "counts": _counts(cells),
         "robots": cells["robot"].map(label).nunique(),
         "methods": cells["estimator"].map(label).nunique(),
-        "first": [(one.title, _leaders(one)) for one in version.ranking_list],
+        "first": first,
     }
 
 
 def _counts(cells: pd.DataFrame) -> str:
     counts = Counter(map(label, cells["status"]))
     return ", ".join(f"{count} {status}" for status, count in counts.most_common())
-
-
-def _leaders(ranking: Ranking) -> list[str]:
-    """Methods whose rank may be the first: those with the lowest lower end of its interval; none
-    for few robots, which have no interval."""
-    lows = {name: low for name, (_, low, _) in ranking.rank_interval.items() if np.isfinite(low)}
-    return [name for name, low in lows.items() if low <= min(lows.values())]
 
 
 def _suite_page(version: SuiteVersion) -> dict[str, Any]:
@@ -281,7 +253,7 @@ def _suite_page(version: SuiteVersion) -> dict[str, Any]:
         "rankings": [order[0] for order in orders],
         "details": [table for order in orders for table in order[1:]],
         "figures": [(title, Markup(page_svg(svg))) for title, svg in _figures(version)],
-        "scores": list(median_tables(version)),
+        "scores": list(score_tables(version, "robot", "estimator")),
         "levels": list(plant_tables(version.with_noise())),
         "sources": list(source_tables(cells)),
         "crosschecks": crosscheck_rows(cells),
@@ -297,39 +269,46 @@ def _figures(version: SuiteVersion) -> Iterator[tuple[str, str]]:
     for ranking in version.ranking_list:
         ranks = rank_table(ranking)
         if ranks.rows:
-            yield f"{ranking.title}. {_RANKS}", figure_svg(ranks)
-        yield f"{ranking.title}. {html.PROFILE}", profile_svg(ranking)
-        cost = cost_svg(ranking, version.cells)
-        if cost:
-            yield f"{ranking.title}. Error against CPU time. {html.COST}", cost
+            yield f"{ranking.title}. {with_level(_RANKS)}", figure.svg(ranks)
+        yield f"{ranking.title}. {html.PROFILE}", profile.svg(ranking)
+        if cost_by_method(ranking, version.cells):
+            title = f"{ranking.title}. Error against CPU time. {html.COST}"
+            yield title, cost_figure.svg(ranking, version.cells)
     for table in plant_tables(version.with_noise()):
-        yield f"Levels. {table.description}", figure_svg(table)
+        yield f"Levels. {table.description}", figure.svg(table)
 
 
-def _parts(
-    versions: Iterable[SuiteVersion],
-    field: str,
-    name: str,
-    tables_of: Callable[[SuiteVersion, str], Iterable[Table]],
-) -> Iterator[dict[str, Any]]:
-    """Sections on a robot or a method, one for each suite version that has it."""
-    for version in versions:
-        cells = version.cells[version.cells[field].map(label) == name]
-        if len(cells):
-            # Ranks are of methods; a robot has none.
-            ranked = version.ranking_list if field == "estimator" else ()
-            yield {
-                "version": version,
-                "counts": _counts(cells),
-                "places": [
-                    {"title": ranking.title, "text": _place(ranking, name)}
-                    for ranking in ranked
-                    if name in ranking.method_names
-                ],
-                "tables": list(tables_of(version, name)),
-                "crosschecks": crosscheck_rows(cells) if field == "robot" else [],
-                "failures": failed_cells(cells),
-            }
+def _robot_part(version: SuiteVersion, name: str) -> dict[str, Any]:
+    """Section on a robot; {} where the version lacks it. Ranks are of methods; a robot has none."""
+    cells = version.cells[version.cells["robot"].map(label) == name]
+    tables = score_tables(version, "estimator", only=("robot", name))
+    return _part(version, cells, tables, [], crosscheck_rows(cells)) if len(cells) else {}
+
+
+def _method_part(version: SuiteVersion, name: str) -> dict[str, Any]:
+    """Section on a method; {} where the version lacks it."""
+    cells = version.cells[version.cells["estimator"].map(label) == name]
+    with version.level():
+        places = [
+            {"title": ranking.title, "text": _place(ranking, name)}
+            for ranking in version.ranking_list
+            if name in ranking.method_names
+        ]
+    tables = score_tables(version, "robot", only=("estimator", name))
+    return _part(version, cells, tables, places, []) if len(cells) else {}
+
+
+def _part(
+    version: SuiteVersion, cells: pd.DataFrame, tables: Iterable[Table], places: Any, checks: Any
+) -> dict[str, Any]:
+    return {
+        "version": version,
+        "counts": _counts(cells),
+        "places": places,
+        "tables": list(tables),
+        "crosschecks": checks,
+        "failures": failed_cells(cells),
+    }
 
 
 def _place(ranking: Ranking, method: str) -> str:
@@ -338,5 +317,5 @@ def _place(ranking: Ranking, method: str) -> str:
     if method not in ranking.rank_interval:
         return "no rank"
     rank, low, high = ranking.rank_interval[method]
-    interval = "" if np.isnan(low) else f" ({LEVEL_TEXT} interval {low:g} to {high:g})"
+    interval = "" if np.isnan(low) else f" ({level_text()} interval {low:g} to {high:g})"
     return f"rank {rank:g} of {len(ranking.rank_interval)}{interval}"

@@ -4,6 +4,7 @@ import hashlib
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
@@ -11,12 +12,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.intervals import ROBOTS
+from sysid_bench.evaluation.intervals import LEVEL, ROBOTS, at_level
 from sysid_bench.metrics import METRICS, metric_of
 from sysid_bench.reporting.figures import EXACT
 from sysid_bench.reporting.ranking import Ranking, entry_with_cells, rank_cells
 from sysid_bench.reporting.sections import SCORE
-from sysid_bench.reporting.selection import Choose, label
+from sysid_bench.reporting.selection import Choose, label, metric_names
 from sysid_bench.types import Metric
 from sysid_bench.words import RECORDED, REFERENCE, STATUSES
 
@@ -89,6 +90,8 @@ class SiteRun:
         same name and version may be compared."""
         kept = {key: value for key, value in self.suite.items() if key not in _OF_ENTRANTS}
         limits = kept.get("run") or {}
+        if kept.get("confidence") == LEVEL:  # versions are older than the key
+            del kept["confidence"]
         kept["run"] = {key: value for key, value in limits.items() if key not in _OF_MACHINES}
         return canonical_hash(kept)[:8]
 
@@ -159,8 +162,12 @@ class SuiteVersion:
         of the suite."""
         scored = SCORE in self.cells and self.cells[SCORE].notna().any()
         tables = () if scored else self.first.suite.get("table") or ()
-        named = chain.from_iterable(_metrics(table) for table in tables)
+        named = chain.from_iterable(map(metric_names, tables))
         return metric_of(next(named, SCORE), self.first.metrics)
+
+    def level(self) -> AbstractContextManager[None]:
+        """Return the context in which intervals have the level of the suite."""
+        return at_level(self.first.suite.get("confidence"))
 
     @cached_property
     def ranking_list(self) -> tuple[Ranking, ...]:
@@ -169,26 +176,18 @@ class SuiteVersion:
         methods = list(dict.fromkeys(self.cells["estimator"].map(label)))
         against = REFERENCE if REFERENCE in methods else methods[0]
         written = self.first.suite.get("ranking") or [{**_DEFAULT, "against": against}]
-        return tuple(chain.from_iterable(map(self._ranked, written)))
+        # The run that a cell is shown of: conditions on its row are read with the plan of that run.
+        run_of = {name: run for run in reversed(self.runs) for name in run.cells["id"]}
 
-    def _ranked(self, entry: Mapping[str, Any]) -> Iterator[Ranking]:
-        """Rankings of an entry, with the members of its family that have cells; none where the
-        cells so far cannot be ranked."""
-        own = entry_with_cells(entry, self.cells)
-        try:
-            found = list(rank_cells(self.cells, own, self._choose, self.first.metrics))
-        except UsageError:
-            return
-        yield from (one for one in found if one.cases.with_ratio.any())
+        def choose(expression: str, row: Mapping[str, Any]) -> bool:
+            return run_of[row["id"]].choose(expression, row)
 
-    @cached_property
-    def _run_of(self) -> dict[str, SiteRun]:
-        """The run that a cell is shown of, by id."""
-        return {name: run for run in reversed(self.runs) for name in run.cells["id"]}
-
-    def _choose(self, expression: str, row: Mapping[str, Any]) -> bool:
-        """Test of a condition on a row, with the plan of its own run."""
-        return self._run_of[row["id"]].choose(expression, row)
+        found: list[Ranking] = []
+        for entry in written:
+            own = entry_with_cells(entry, self.cells)
+            with self.level(), suppress(UsageError):  # the cells so far may have no ranking
+                found += list(rank_cells(self.cells, own, choose, self.first.metrics))
+        return tuple(one for one in found if one.cases.with_ratio.any())
 
     def with_noise(self) -> "pd.DataFrame":
         """Cells whose data have noise; recorded ones have."""
@@ -204,11 +203,6 @@ class SuiteVersion:
 
         noise = self.cells.get("noise", pd.Series("", index=self.cells.index))
         return noise.map(label) == EXACT
-
-
-def _metrics(table: Mapping[str, Any]) -> tuple[str, ...]:
-    named = (table.get("cells") or {}).get("metric")
-    return (str(named),) if named else tuple(map(str, table.get("metrics") or ()))
 
 
 def group_by_version(runs: Iterable[SiteRun]) -> tuple[SuiteVersion, ...]:

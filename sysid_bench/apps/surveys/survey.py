@@ -151,19 +151,11 @@ def compare_baseline(known: Mapping[str, Any], models: Sequence[SurveyRecord]) -
 def _change(model: SurveyRecord, known: Mapping[str, Any] | None) -> Change | None:
     if known is None:
         return Change(model.name, "it is not in the baseline", worse=not model.ok)
-    now = _values(model)
+    if model.ok and not known["ok"]:
+        return Change(model.name, f"ok; it was refused: {known['cause']}", worse=False)
     if known["ok"] and not model.ok:
         return Change(model.name, f"refused: {model.row['reason']}", worse=True)
-    if not known["ok"]:
-        if model.ok:
-            return Change(model.name, f"ok; it was refused: {known['cause']}", worse=False)
-        return _other(model, known, now, ("cause",))
-    return _other(model, known, now, _EXACT)
-
-
-def _other(
-    model: SurveyRecord, known: Mapping[str, Any], now: Mapping[str, Any], keys: Sequence[str]
-) -> Change | None:
+    now, keys = _values(model), _EXACT if model.ok else ("cause",)
     texts = [f"{k}: {known.get(k)} -> {now[k]}" for k in keys if known.get(k) != now[k]]
     return Change(model.name, ", ".join(texts), worse=True) if texts else None
 
@@ -203,11 +195,12 @@ def markdown(title: str, command: str, models: Sequence[SurveyRecord]) -> str:
         groups.setdefault(model.name.partition("/")[0], []).append(model)
     loadable = [model for model in models if model.is_loaded]
     causes = dict(counts_by_cause(loadable))
+    packages = []
+    for name, group in groups.items():
+        read = [model for model in group if model.is_loaded]
+        packages.append((name, len(group), _ok(group), len(read), _ok(read)))
     tables = {
-        "Packages": _table(
-            ("folder", "models", "ok", "loadable", "ok of these"),
-            [(name, *_counts(group)) for name, group in groups.items()],
-        ),
+        "Packages": _table(("folder", "models", "ok", "loadable", "ok of these"), packages),
         "Refusals by cause": _table(
             ("cause", "models", "of the loadable"),
             [(cause, n, causes.get(cause, 0)) for cause, n in counts_by_cause(models)],
@@ -249,18 +242,12 @@ def _head(models: Sequence[SurveyRecord]) -> list[str]:
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines)
-
-
-def _cell(value: object) -> str:
-    text = " ".join(str(value).split()).replace("|", "\\|")
-    return text if len(text) <= _LONGEST else text[:_LONGEST] + " ..."
-
-
-def _counts(models: Sequence[SurveyRecord]) -> tuple[int, ...]:
-    loadable = [model for model in models if model.is_loaded]
-    return len(models), _ok(models), len(loadable), _ok(loadable)
+    lines = []
+    for row in (heads, ["---"] * len(heads), *rows):
+        cells = [" ".join(str(value).split()).replace("|", "\\|") for value in row]
+        cut = (text if len(text) <= _LONGEST else text[:_LONGEST] + " ..." for text in cells)
+        lines.append(f"| {' | '.join(cut)} |")
+    return "\n".join(lines)
 
 
 def _reasons(models: Sequence[SurveyRecord]) -> str:

@@ -4,13 +4,14 @@ predictions of a recorded comparison of methods by a simulated one, pair by pair
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.signal import welch
 from scipy.stats import kendalltau
 
 from sysid_bench.apps.twins.fit_twin import time_covariance
+from sysid_bench.evaluation.intervals import ROBOT_TYPES, percentile_interval
 from sysid_bench.types import Array
 
 LOWEST, HIGHEST = 0.2, 12.8
@@ -53,12 +54,18 @@ def residual_ratio(
     flat = [one for draws in drawn for one in draws]
     ratios = []
     for joint in range(real[0].e.shape[1]):
-        power, other = _power(real, joint), _power(flat, joint)
-        seconds = _seconds(real, joint)
+        power, other = (
+            float(np.mean([np.mean(one.e[:, joint] ** 2) for one in residuals]))
+            for residuals in (real, flat)
+        )
+        seconds, other_seconds = (
+            geometric_mean([residual_correlation_time(x.e[:, joint], x.rate) for x in residuals])
+            for residuals in (real, flat)
+        )
         difference = _spectrum(flat, joint) - _spectrum(real, joint)
         ratio = ResidualRatio(
             level=float(np.sqrt(other / power)) if power > 0 else np.nan,
-            memory=_seconds(flat, joint) / seconds,
+            memory=other_seconds / seconds,
             spectrum=float(np.sqrt(np.nanmean(difference**2))),
             seconds=seconds,
             rms=float(np.sqrt(power)),
@@ -92,14 +99,9 @@ def torque_errors(residuals: Sequence[Residual]) -> float:
     return float(np.sqrt(np.mean(power[torque > 0] / torque[torque > 0])))
 
 
-def _power(residuals: Sequence[Residual], joint: int) -> float:
-    return float(np.mean([np.mean(one.e[:, joint] ** 2) for one in residuals]))
-
-
-def _seconds(residuals: Sequence[Residual], joint: int) -> float:
-    """Geometric mean of the autocorrelation times (s)."""
-    times = [residual_correlation_time(one.e[:, joint], one.rate) for one in residuals]
-    return float(np.exp(np.mean(np.log(times))))
+def geometric_mean(values: Sequence[float]) -> float:
+    """Return exp of the mean logarithm."""
+    return float(np.exp(np.mean(np.log(values))))
 
 
 def residual_correlation_time(x: Array, rate: float) -> float:
@@ -119,20 +121,19 @@ def residual_correlation_time(x: Array, rate: float) -> float:
 
 def _spectrum(residuals: Sequence[Residual], joint: int) -> Array:
     """Power in octave bands, dB, averaged over the tests; NaN in bands that no test resolves."""
-    bands = np.array([_bands(one, joint) for one in residuals])
+    edges = LOWEST * 2.0 ** np.arange(round(np.log2(HIGHEST / LOWEST)) + 1)
+    bands = np.full((len(residuals), len(edges) - 1), np.nan)
+    for row, one in zip(bands, residuals, strict=True):
+        samples = min(len(one.e), round(SEGMENT * one.rate))
+        f, density = welch(one.e[:, joint], one.rate, nperseg=samples)
+        for k, (low, high) in enumerate(pairwise(edges)):
+            inside = (f >= low) & (f < high)
+            if inside.any():
+                row[k] = density[inside].mean() + 1e-30
     resolved = ~np.isnan(bands)
     total = np.where(resolved, bands, 0.0).sum(axis=0)
     count = resolved.sum(axis=0)
     return np.asarray(10 * np.log10(np.where(count > 0, total / np.maximum(count, 1), np.nan)))
-
-
-def _bands(residual: Residual, joint: int) -> Array:
-    samples = min(len(residual.e), round(SEGMENT * residual.rate))
-    f, density = welch(residual.e[:, joint], residual.rate, nperseg=samples)
-    edges = LOWEST * 2.0 ** np.arange(round(np.log2(HIGHEST / LOWEST)) + 1)
-    inside = [(f >= low) & (f < high) for low, high in pairwise(edges)]
-    means = [density[band].mean() if band.any() else np.nan for band in inside]
-    return np.array(means) + 1e-30
 
 
 CLAIMED: Final = float(np.log(1.10))
@@ -143,12 +144,6 @@ EQUAL: Final = float(np.log(1.05))
 
 TIE: Final = float(np.log(1.01))
 """Difference within which methods have one rank in Kendall's tau."""
-
-DRAWS: Final = 2000
-"""Draws of the bootstrap over robots."""
-
-FEWEST: Final = 5
-"""Robots with pairs below which there is no interval."""
 
 Errors = Mapping[str, float]
 """Torque error of each method on one test motion."""
@@ -173,8 +168,8 @@ class VerdictCounts:
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure of all robots with its 95 % interval from a bootstrap over clusters of robots; None
-    where there is none. `count`: pairs of a share, robots of a median."""
+    """A figure of all robots with its interval from a bootstrap over clusters of robots; None where
+    there is none. `count`: pairs of a share, robots of a median."""
 
     value: float | None
     low: float | None
@@ -190,70 +185,76 @@ def verdict_counts(
     Logarithms of errors are averaged over the tests; methods that failed in one are left out.
     """
     methods = sorted(set.intersection(*map(set, (*simulated, *real))))
-    pairs = [_claim(simulated, real, a, b) for a, b in combinations(methods, 2)]
-    # Columns: logarithmic ratio of two methods in simulation and in reality, and its spread there.
+    own, other = ({m: _mean_log(tests, m) for m in methods} for tests in (simulated, real))
+    pairs = []
+    for a, b in combinations(methods, 2):
+        each = [np.log(one[a] / one[b]) for one in real]
+        pairs.append((own[a] - own[b], other[a] - other[b], float(np.ptp(each)) / 2))
+    # Columns: logarithmic ratio of two methods in simulation and in reality, and half of its range
+    # over the tests of reality.
     s, r, spread = np.array(pairs, dtype=float).reshape(-1, 3).T
     claimed = np.abs(s) > CLAIMED
     found = np.abs(r) > np.maximum(CLAIMED, spread)
     # Logarithmic ratios to the reference: simulation against reality.
     misfits = [
-        abs(_difference(simulated, m, reference) - _difference(real, m, reference))
+        abs((own[m] - own[reference]) - (other[m] - other[reference]))
         for m in methods
         if m != reference
     ]
+    tau = np.nan
+    if len(methods) >= 3:  # tau-b: errors within 1 % are ties
+        orders = [np.round([logs[m] / TIE for m in methods]) for logs in (own, other)]
+        tau = float(kendalltau(*orders).statistic)
     return VerdictCounts(
         claimed=int(claimed.sum()),
         false=int((claimed & ((s * r < 0) | (np.abs(r) < EQUAL))).sum()),
         real=int(found.sum()),
         found=int((found & (s * r > 0) & (np.abs(s) > EQUAL)).sum()),
         misfit=float(np.mean(misfits)) if misfits else np.nan,
-        level=float(np.exp(_mean_log(simulated, reference) - _mean_log(real, reference))),
-        tau=_tau(simulated, real, methods),
+        level=float(np.exp(own[reference] - other[reference])),
+        tau=tau,
     )
+
+
+def _mean_log(tests: Sequence[Errors], method: str) -> float:
+    return float(np.mean([np.log(one[method]) for one in tests]))
 
 
 def mean_counts(counts: Sequence[VerdictCounts]) -> VerdictCounts:
     """Return the counts of several draws of one robot: sums of pairs, means of the rest."""
-    return VerdictCounts(
-        claimed=sum(one.claimed for one in counts),
-        false=sum(one.false for one in counts),
-        real=sum(one.real for one in counts),
-        found=sum(one.found for one in counts),
-        misfit=_mean([one.misfit for one in counts]),
-        level=_mean([one.level for one in counts]),
-        tau=_mean([one.tau for one in counts]),
-    )
-
-
-def _mean(values: Sequence[float]) -> float:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.mean(known)) if known else np.nan
+    values: dict[str, Any] = {}
+    for name in VerdictCounts.__dataclass_fields__:
+        each = [getattr(one, name) for one in counts]
+        if name in ("claimed", "false", "real", "found"):
+            values[name] = sum(each)
+        else:
+            known = [value for value in each if np.isfinite(value)]
+            values[name] = float(np.mean(known)) if known else np.nan
+    return VerdictCounts(**values)
 
 
 def robot_share(
     counts: Sequence[VerdictCounts],
     part: Callable[[VerdictCounts], tuple[int, int]],
     clusters: Sequence[str] | None = None,
-    seed: int = 0,
 ) -> Interval:
     """Return a share of pairs, `part` of one robot being (part, whole), with whole robots
     resampled, those of one cluster together (None: each its own)."""
     rows = np.array(list(map(part, counts)), dtype=float).reshape(-1, 2)
     members = _members(len(rows), clusters)
     table = np.array([rows[one].sum(axis=0) for one in members]).reshape(-1, 2)
-    total = table.sum(axis=0)
-    value = float(total[0] / total[1]) if total[1] > 0 else None
+    few, many = table.sum(axis=0)
+    value = float(few / many) if many > 0 else None
     # Robots without any such pair say nothing of the scatter between robots.
-    if int((table[:, 1] > 0).sum()) < FEWEST or value is None:
-        return Interval(value, None, None, int(total[1]))
-    draws = [table[chosen].sum(axis=0) for chosen in _resampled(len(table), seed)]
-    shares = [float(few / many) for few, many in draws if many > 0]
-    return Interval(value, *_limits(shares), int(total[1]))
+    if value is None or np.count_nonzero(table[:, 1]) < ROBOT_TYPES.fewest:
+        return Interval(value, None, None, int(many))
+    drawn = table[ROBOT_TYPES.indices(len(table))].sum(axis=1)
+    drawn = drawn[drawn[:, 1] > 0]
+    low, high = percentile_interval(drawn[:, 0] / drawn[:, 1])
+    return Interval(value, float(low), float(high), int(many))
 
 
-def robot_median(
-    values: Sequence[float], clusters: Sequence[str] | None = None, seed: int = 0
-) -> Interval:
+def robot_median(values: Sequence[float], clusters: Sequence[str] | None = None) -> Interval:
     """Return the median of one figure of each robot, NaN left out; robots are resampled as for
     shares."""
     x = np.array(values, dtype=float)
@@ -262,53 +263,15 @@ def robot_median(
     if not members:
         return Interval(None, None, None, 0)
     value, count = float(np.nanmedian(x)), sum(map(len, members))
-    if len(members) < FEWEST:
+    if len(members) < ROBOT_TYPES.fewest:
         return Interval(value, None, None, count)
-    medians = [
-        float(np.median(x[np.concatenate([members[k] for k in chosen])]))
-        for chosen in _resampled(len(members), seed)
-    ]
-    return Interval(value, *_limits(medians), count)
+    draws = ROBOT_TYPES.indices(len(members))
+    medians = [np.median(x[np.concatenate([members[k] for k in chosen])]) for chosen in draws]
+    low, high = percentile_interval(np.array(medians))
+    return Interval(value, float(low), float(high), count)
 
 
 def _members(count: int, clusters: Sequence[str] | None) -> list[Array]:
     """Indices of the robots of each cluster."""
     names = [str(k) for k in range(count)] if clusters is None else list(clusters)
     return [np.flatnonzero(np.array(names) == name) for name in dict.fromkeys(names)]
-
-
-def _resampled(count: int, seed: int) -> Array:
-    return np.random.default_rng(seed).integers(count, size=(DRAWS, count))
-
-
-def _limits(values: Sequence[float]) -> tuple[float, float]:
-    low, high = np.percentile(values, [2.5, 97.5])
-    return float(low), float(high)
-
-
-def _tau(simulated: Sequence[Errors], real: Sequence[Errors], methods: Sequence[str]) -> float:
-    """Kendall's tau-b of two orders; errors within 1 % are ties."""
-    if len(methods) < 3:
-        return np.nan
-    orders = [
-        np.round([_mean_log(tests, method) / TIE for method in methods])
-        for tests in (simulated, real)
-    ]
-    return float(kendalltau(*orders).statistic)
-
-
-def _claim(
-    simulated: Sequence[Errors], real: Sequence[Errors], a: str, b: str
-) -> tuple[float, float, float]:
-    """Difference of the logarithms of two methods in simulation and in reality, and half of its
-    range over the tests of reality."""
-    each = [np.log(one[a] / one[b]) for one in real]
-    return _difference(simulated, a, b), _difference(real, a, b), float(np.ptp(each)) / 2
-
-
-def _difference(tests: Sequence[Errors], a: str, b: str) -> float:
-    return _mean_log(tests, a) - _mean_log(tests, b)
-
-
-def _mean_log(tests: Sequence[Errors], method: str) -> float:
-    return float(np.mean([np.log(one[method]) for one in tests]))

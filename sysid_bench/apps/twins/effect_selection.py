@@ -7,7 +7,7 @@ its columns share. Each group of columns is kept or left out as a whole."""
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,16 +17,16 @@ from sysid_bench.signals.filter import Filter
 from sysid_bench.simulation.effects.friction import play_position
 from sysid_bench.simulation.inverse import Inverse, joint_positions, rigid_torque
 from sysid_bench.simulation.plant import Plant, plant_of
-from sysid_bench.types import Array, Recording, Trajectory
+from sysid_bench.types import Array, Recording
 
-FRICTION: Final = ("viscous", "coulomb", "offset")
-"""Joint terms that are fitted again beside the effects."""
+BASE: Final = ("viscous", "coulomb", "offset")
+"""Columns of every joint: its terms that are fitted again beside the effects."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointSignals:
     """Motion and torque of n joints at N samples, filtered as for a test: positions `q` and rates
-    `v`, the torque on the links `load`, the torque `rest` of all but the joints' own FRICTION, and
+    `v`, the torque on the links `load`, the torque `rest` of all but the joints' own BASE, and
     the measured torque `tau`, (N, n) each. `filter` is that of the torque."""
 
     joints: tuple[str, ...]
@@ -53,44 +53,26 @@ def processed_recording(log: ProcessedLog, preprocessing: LogProcessing) -> Reco
 
 def joint_signals(robot: RobotModel, recording: Recording, filter: Filter) -> JointSignals:
     """Return the signals of a processed recording along which a robot with these inertias moved."""
-    dofs, motion = robot.torque_dofs, recording.motion
-    terms = robot.joint_terms
-    none = {name: _without(getattr(terms, name), dofs) for name in FRICTION}
-    full = plant_of(robot)
+    dofs, motion, full = robot.torque_dofs, recording.motion, plant_of(robot)
+    none = {name: getattr(robot.joint_terms, name).copy() for name in BASE}
+    for values in none.values():
+        values[dofs] = 0.0
     plant = Plant(robot, replace(full.terms, **none), full.laws)
     oracle, _ = Inverse().run(plant, motion, np.zeros((len(motion), len(dofs))))
+    # On the links: M a + bias without armature.
+    rigid = rigid_torque(plant.contact_free_model, motion)
+    load = rigid - robot.joint_terms.armature * motion.a
     return JointSignals(
         joints=robot.torque_rows,
         t=motion.t - motion.t[0],
         q=joint_positions(robot, motion)[:, dofs],
         v=motion.v[:, dofs],
-        load=_load(robot, plant, motion)[:, dofs],
+        load=load[:, dofs],
         rest=oracle.tau,
         tau=recording.tau,
         rate=recording.rate,
         filter=filter,
     )
-
-
-def _own_friction(robot: RobotModel) -> dict[str, Mapping[str, float]]:
-    """Return the FRICTION of each measured joint."""
-    terms = robot.joint_terms
-    return {
-        name: {term: float(getattr(terms, term)[dof]) for term in FRICTION}
-        for name, dof in zip(robot.torque_rows, robot.torque_dofs, strict=True)
-    }
-
-
-def _load(robot: RobotModel, plant: Plant, motion: Trajectory) -> Array:
-    """Torque (N, nv) on the links: M a + bias without armature."""
-    rigid = rigid_torque(plant.contact_free_model, motion)
-    return np.asarray(rigid - robot.joint_terms.armature * motion.a)
-
-
-def _without(values: Array, dofs: Array) -> Array:
-    left = values.copy()
-    left[dofs] = 0.0
-    return left
 
 
 STEP_WIDTH: Final = 1e-6
@@ -110,9 +92,6 @@ SHARPNESS: Final = 20.0
 
 FOLDS: Final = 5
 """Blocks of time of each recording for cross-validation."""
-
-BASE: Final = ("viscous", "coulomb", "offset")
-"""Columns of every joint."""
 
 GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "load-friction": ("load",),
@@ -161,19 +140,17 @@ class JointEffects:
         """Yield the effects with one further group in each of its shapes. `speed`: RMS rate of the
         joint."""
         for group in groups:
-            if group not in self.groups:
-                yield from self._with_group(group, speed)
-
-    def _with_group(self, group: str, speed: float) -> Iterator["JointEffects"]:
-        added = replace(self, groups=(*self.groups, group))
-        if group == PRESLIDING:
-            yield from (replace(added, width=width) for width in WIDTHS)
-        elif group == DELAY:
-            yield from (replace(added, delay=delay) for delay in DELAYS)
-        elif group == "stribeck":
-            yield from (replace(added, vs=share * speed) for share in SPEEDS)
-        else:
-            yield added
+            if group in self.groups:
+                continue
+            added = replace(self, groups=(*self.groups, group))
+            if group == PRESLIDING:
+                yield from (replace(added, width=width) for width in WIDTHS)
+            elif group == DELAY:
+                yield from (replace(added, delay=delay) for delay in DELAYS)
+            elif group == "stribeck":
+                yield from (replace(added, vs=share * speed) for share in SPEEDS)
+            else:
+                yield added
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,11 +164,25 @@ class JointColumns:
 
     def matrix(self, effects: JointEffects) -> Array:
         """Return the columns (N, k) of these effects at the samples of the fit."""
-        return np.column_stack([self._column(name, effects) for name in effects.columns])
+        columns = []
+        for name in effects.columns:
+            shape = effects.vs if name == "stribeck" else effects.width
+            key = (name, shape if name in ("coulomb", "load", "stribeck") else 0.0)
+
+            def values(one: JointSignals, name: str = name) -> Array:
+                return one.smooth(effect_values(one, self.joint, name, effects)[:, None])
+
+            columns.append(self._kept(key, values))
+        return np.column_stack(columns)
 
     def torque_with_delay(self, delay: float) -> Array:
         """Return the torque (N,) that the columns have to explain, where it is late by `delay`."""
-        return self._kept(("target", delay), lambda one: self._unexplained(one, delay))
+
+        def target(one: JointSignals) -> Array:
+            tau = np.interp(one.t + delay, one.t, one.tau[:, self.joint])
+            return np.asarray(tau - one.smooth(one.rest[:, [self.joint]])[:, 0])
+
+        return self._kept(("target", delay), target)
 
     @property
     def blocks(self) -> Array:
@@ -205,22 +196,11 @@ class JointColumns:
         v = np.concatenate([one.v[:, self.joint] for one in self.logs])
         return float(np.sqrt(np.mean(v**2)))
 
-    def _column(self, name: str, effects: JointEffects) -> Array:
-        shape = effects.vs if name == "stribeck" else effects.width
-        key = (name, shape if name in ("coulomb", "load", "stribeck") else 0.0)
-        return self._kept(
-            key, lambda one: one.smooth(effect_values(one, self.joint, name, effects)[:, None])
-        )
-
     def _kept(self, key: tuple[str, float], values: Callable[[JointSignals], Array]) -> Array:
         if key not in self._columns:
             parts = [values(one).reshape(-1)[:: self.step] for one in self.logs]
             self._columns[key] = np.concatenate(parts)
         return self._columns[key]
-
-    def _unexplained(self, one: JointSignals, delay: float) -> Array:
-        tau = np.interp(one.t + delay, one.t, one.tau[:, self.joint])
-        return np.asarray(tau - one.smooth(one.rest[:, [self.joint]])[:, 0])
 
 
 def effect_values(one: JointSignals, joint: int, name: str, effects: JointEffects) -> Array:
@@ -281,24 +261,16 @@ class JointLimits:
     torque: float
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """An effect that was kept, and the share of the mean squared residual on left-out blocks that
-    it removed when it was added."""
-
-    effect: str
-    share: float
-
-
 @dataclass(frozen=True, eq=False)
 class JointFit:
     """Effects of a joint with their coefficients by column, and what they leave of the torque,
-    `residual` (N,). `before` and `after`: RMS of the residual of blocks predicted by the others,
-    without and with the effects."""
+    `residual` (N,). `kept`: {effect, share}, the share of the mean squared residual on left-out
+    blocks that it removed when it was added. `before` and `after`: RMS of the residual of blocks
+    predicted by the others, without and with the effects."""
 
     effects: JointEffects
     values: dict[str, float]
-    kept: tuple[_Kept, ...]
+    kept: tuple[dict[str, Any], ...]
     residual: Array
     before: float
     after: float
@@ -327,7 +299,7 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
     keep them; those whose values no gear can have are left out."""
     folds, speed = columns.blocks, columns.speed
     best = start = _validated(columns, JointEffects(), folds)
-    kept: list[_Kept] = []
+    kept: list[dict[str, Any]] = []
     while True:
         further = best.effects.candidates(groups, speed)
         options = [_validated(columns, one, folds) for one in further]
@@ -340,18 +312,13 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
             break
         chosen = min(better, key=attrgetter("error"))
         share = 1.0 - chosen.error / best.error
-        kept.append(_Kept(chosen.effects.groups[-1], share))
+        kept.append({"effect": chosen.effects.groups[-1], "share": share})
         best = chosen
     values = _values(columns, best.effects)
     X, y = columns.matrix(best.effects), columns.torque_with_delay(best.effects.delay)
-    return JointFit(
-        best.effects,
-        values,
-        tuple(kept),
-        y - X @ np.array(list(values.values())),
-        float(np.sqrt(start.error)),
-        float(np.sqrt(best.error)),
-    )
+    residual = y - X @ np.array(list(values.values()))
+    before, after = (float(np.sqrt(one.error)) for one in (start, best))
+    return JointFit(best.effects, values, tuple(kept), residual, before, after)
 
 
 def _values(columns: JointColumns, effects: JointEffects) -> dict[str, float]:

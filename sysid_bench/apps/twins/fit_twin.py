@@ -2,7 +2,7 @@
 
 The noise is a sum of first-order processes that has the autocorrelation of the residual."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -34,27 +34,6 @@ from sysid_bench.signals.filter import Filter
 from sysid_bench.simulation.effects.friction import rate_limit
 from sysid_bench.simulation.motor_load import gravity_rms
 from sysid_bench.types import Array
-
-
-def torque_of_bodies(fits: Mapping[str, JointFit], signals: JointSignals) -> Array:
-    """Return the measured torque (N, n) without what the kept effects add to viscous friction,
-    sign(v) and offset, and in time."""
-    left = []
-    for j, name in enumerate(signals.joints):
-        fit = fits[name]
-        friction = _torque(fit, JointEffects(), BASE, signals, j)
-        added = _torque(fit, fit.effects, fit.effects.columns, signals, j) - friction
-        left.append(np.interp(signals.t + fit.effects.delay, signals.t, signals.tau[:, j]) - added)
-    return np.column_stack(left)
-
-
-def _torque(
-    fit: JointFit, effects: JointEffects, names: Sequence[str], signals: JointSignals, j: int
-) -> Array:
-    """Torque (N,) of some columns of a fit."""
-    parts = [fit.values[name] * effect_values(signals, j, name, effects) for name in names]
-    return np.asarray(sum(parts))
-
 
 NOISE: Final = "torque-noise"
 """Sensor error of a plant file."""
@@ -93,25 +72,34 @@ def coloured_noise(
 
     The autocorrelation is a sum of those of the processes with weights that are not negative.
     """
-    processes = [_filtered(constant, rate, filter) for constant in CONSTANTS]
-    std = [_deviations(residual, step, processes, rate) for residual in residuals]
-    return ColouredNoise(np.array(std).T)
-
-
-def _deviations(residual: Array, step: float, processes: Sequence[Array], rate: float) -> Array:
-    """Standard deviations (len(CONSTANTS),) for one joint."""
-    count = max(2, min(len(residual) // 4, round(LONGEST / step)))
-    found = time_covariance(residual, count)
-    if found[0] <= 0.0:
-        return np.zeros(len(CONSTANTS))
-    lags = np.arange(count) * step
-    basis = np.column_stack([np.interp(lags * rate, np.arange(len(x)), x) for x in processes])
-    # The level counts as much as all lags together.
-    weights = np.ones(count)
-    weights[0] = np.sqrt(count)
-    variance, _ = nnls(basis * weights[:, None], found / found[0] * weights)
-    level = float(basis[0] @ variance)
-    return np.sqrt(variance * found[0] / level) if level > 0 else np.zeros(len(CONSTANTS))
+    processes = []  # autocovariances up to LONGEST, of processes of variance 1 behind the filter
+    for constant in CONSTANTS:
+        size = 1 << int(np.ceil(np.log2(max(8 * LONGEST, 8 * constant) * rate + 64)))
+        impulse = np.zeros((size, 1))
+        impulse[size // 2] = 1.0
+        gain = np.abs(np.fft.rfft(filter.smooth(impulse, rate)[:, 0])) ** 2
+        pole = np.exp(-1.0 / (rate * constant))
+        angle = 2 * np.pi * np.arange(len(gain)) / size
+        spectrum = (1 - pole**2) / (1 - 2 * pole * np.cos(angle) + pole**2)
+        processes.append(np.fft.irfft(spectrum * gain, size)[: round(LONGEST * rate) + 2])
+    columns = []
+    for residual in residuals:
+        std = np.zeros(len(CONSTANTS))
+        columns.append(std)
+        count = max(2, min(len(residual) // 4, round(LONGEST / step)))
+        found = time_covariance(residual, count)
+        if found[0] <= 0.0:
+            continue
+        lags = np.arange(count) * step
+        basis = np.column_stack([np.interp(lags * rate, np.arange(len(x)), x) for x in processes])
+        # The level counts as much as all lags together.
+        weights = np.ones(count)
+        weights[0] = np.sqrt(count)
+        variance, _ = nnls(basis * weights[:, None], found / found[0] * weights)
+        level = float(basis[0] @ variance)
+        if level > 0:
+            std[:] = np.sqrt(variance * found[0] / level)
+    return ColouredNoise(np.array(columns).T)
 
 
 def time_covariance(x: Array, count: int) -> Array:
@@ -121,43 +109,8 @@ def time_covariance(x: Array, count: int) -> Array:
     return np.asarray(np.fft.irfft(power, size)[:count] / len(x))
 
 
-def _filtered(constant: float, rate: float, filter: Filter) -> Array:
-    """Autocovariance, up to LONGEST, of a first-order process of variance 1 behind a filter."""
-    size = 1 << int(np.ceil(np.log2(max(8 * LONGEST, 8 * constant) * rate + 64)))
-    impulse = np.zeros((size, 1))
-    impulse[size // 2] = 1.0
-    gain = np.abs(np.fft.rfft(filter.smooth(impulse, rate)[:, 0])) ** 2
-    pole = np.exp(-1.0 / (rate * constant))
-    angle = 2 * np.pi * np.arange(len(gain)) / size
-    spectrum = (1 - pole**2) / (1 - 2 * pole * np.cos(angle) + pole**2)
-    return np.asarray(np.fft.irfft(spectrum * gain, size)[: round(LONGEST * rate) + 2])
-
-
 OF_GRAVITY: Final = ("stribeck", "low-harmonics")
 """Begin of the groups whose size is a share of the torque of gravity."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Sizes:
-    """Fits by the row of their joint, and the scales that sizes refer to, (nv,) each."""
-
-    robot: RobotModel
-    fits: Mapping[str, JointFit]
-    force: Array
-    speed: Array
-
-    def of(self, rows: Sequence[str], column: str) -> Array:
-        fits = map(self.fits.get, rows)
-        return np.array([0.0 if fit is None else fit.values.get(column, 0.0) for fit in fits])
-
-    def shapes(self, rows: Sequence[str], what: str, otherwise: float) -> list[float]:
-        fits = map(self.fits.get, rows)
-        return [otherwise if fit is None else float(getattr(fit.effects, what)) for fit in fits]
-
-    def share(self, torque: Array) -> Array:
-        """Return torques (nv,) as shares of that of gravity, 0 where there is none."""
-        zero = np.zeros_like(torque)
-        return np.asarray(np.divide(torque, self.force, out=zero, where=self.force > 0))
 
 
 def with_friction(robot: RobotModel, fits: Mapping[str, JointFit]) -> RobotModel:
@@ -173,79 +126,52 @@ def plant_keys(
     robot: RobotModel, fits: Mapping[str, JointFit], noise: ColouredNoise
 ) -> dict[str, Any]:
     """Return the keys of the plant file of a robot that has the friction of the fits."""
-    gravity = gravity_rms(robot, robot.mj)
+    gravity, rows, measured = gravity_rms(robot, robot.mj), robot.rows, robot.torque_rows
     force = np.maximum(gravity, 1e-3 * gravity.max())
-    sizes = _Sizes(robot, fits, force, rate_limit(robot))
-    effects: list[Any] = [entry for make in _EFFECTS for entry in make(sizes)]
-    sensors = [entry for make in _SENSORS for entry in make(sizes)]
+
+    def sizes(column: str, joints: Sequence[str] = rows) -> Array:
+        found = map(fits.get, joints)
+        return np.array([0.0 if fit is None else fit.values.get(column, 0.0) for fit in found])
+
+    def shapes(what: str, otherwise: float, joints: Sequence[str] = rows) -> list[float]:
+        found = map(fits.get, joints)
+        return [otherwise if fit is None else float(getattr(fit.effects, what)) for fit in found]
+
+    def of_gravity(torque: Array) -> Array:
+        """Torques (nv,) as shares of that of gravity, 0 where there is none."""
+        return np.asarray(np.divide(torque, force, out=np.zeros_like(torque), where=force > 0))
+
+    widths, vs = shapes("width", STEP_WIDTH), np.array(shapes("vs", 1.0))
+    load, peak, viscous = sizes("load"), of_gravity(sizes("stribeck")), sizes("viscous")
+    curve = sizes("curved") * rate_limit(robot) / np.where(viscous > 0, viscous, np.inf)
+    slope, late = sizes("time", measured), shapes("delay", 0.0, measured)
+    shape = {"vs": vs.tolist(), "v0": (vs / SHARPNESS).tolist()}
+    effects: list[tuple[Any, dict[str, Any]]] = [
+        (max(widths) > STEP_WIDTH, {"use": "play", "width": widths}),
+        (load.any(), {"use": "load-friction", "coulomb": _percent(load), "width": widths}),
+        (peak.any(), {"use": "stribeck", "share": _percent(peak), **shape}),
+        (curve.any(), {"use": "curved-friction", "curvature": _percent(curve)}),
+    ]
+    orders = dict.fromkeys(("first", "second", "third"), 0.0)
+    for order, word in enumerate(orders, start=1):
+        A, B = sizes(f"sin {order}"), sizes(f"cos {order}")
+        phase, share = np.arctan2(B, A) / order, _percent(of_gravity(np.hypot(A, B)))
+        entry = {"use": "low-harmonics", **orders, word: share, "phase": phase.tolist()}
+        effects.append((phase.any(), entry))
+    sensors = [
+        (slope.any(), {"use": "torque-drift", "slope": slope.tolist()}),
+        (any(late), {"use": "delay", "tau": late}),
+    ]
     return {
         "simulation": {"use": "inverse"},
-        "effects": effects or ["matched"],
-        "sensors": [*noise.entries(), *sensors],
+        "effects": [entry for has_size, entry in effects if has_size] or ["matched"],
+        "sensors": [*noise.entries(), *(entry for has_size, entry in sensors if has_size)],
     }
 
 
 def _percent(shares: Array) -> list[float]:
     """Shares as plant files write them without a unit."""
     return [100.0 * share for share in shares.tolist()]
-
-
-def _play(sizes: _Sizes) -> list[dict[str, Any]]:
-    widths = sizes.shapes(sizes.robot.rows, "width", STEP_WIDTH)
-    return [{"use": "play", "width": widths}] if max(widths) > STEP_WIDTH else []
-
-
-def _load_friction(sizes: _Sizes) -> list[dict[str, Any]]:
-    load = sizes.of(sizes.robot.rows, "load")
-    widths = sizes.shapes(sizes.robot.rows, "width", STEP_WIDTH)
-    entry = {"use": "load-friction", "coulomb": _percent(load), "width": widths}
-    return [entry] if load.any() else []
-
-
-def _stribeck(sizes: _Sizes) -> list[dict[str, Any]]:
-    share = sizes.share(sizes.of(sizes.robot.rows, "stribeck"))
-    vs = np.array(sizes.shapes(sizes.robot.rows, "vs", 1.0))
-    v0 = (vs / SHARPNESS).tolist()
-    entry = {"use": "stribeck", "share": _percent(share), "vs": vs.tolist(), "v0": v0}
-    return [entry] if share.any() else []
-
-
-def _curved(sizes: _Sizes) -> list[dict[str, Any]]:
-    rows = sizes.robot.rows
-    viscous, curve = sizes.of(rows, "viscous"), sizes.of(rows, "curved")
-    share = curve * sizes.speed / np.where(viscous > 0, viscous, np.inf)
-    return [{"use": "curved-friction", "curvature": _percent(share)}] if share.any() else []
-
-
-def _harmonics(sizes: _Sizes) -> list[dict[str, Any]]:
-    orders = enumerate(("first", "second", "third"), start=1)
-    entries = [_harmonic(sizes, order, word) for order, word in orders]
-    return [entry for entry in entries if any(entry["phase"])]
-
-
-def _harmonic(sizes: _Sizes, order: int, word: str) -> dict[str, Any]:
-    rows = sizes.robot.rows
-    A, B = sizes.of(rows, f"sin {order}"), sizes.of(rows, f"cos {order}")
-    phase = np.arctan2(B, A) / order
-    none = dict.fromkeys(("first", "second", "third"), 0.0)
-    share = _percent(sizes.share(np.hypot(A, B)))
-    return {"use": "low-harmonics", **none, word: share, "phase": phase.tolist()}
-
-
-def _drift(sizes: _Sizes) -> list[dict[str, Any]]:
-    slope = sizes.of(sizes.robot.torque_rows, "time")
-    return [{"use": "torque-drift", "slope": slope.tolist()}] if slope.any() else []
-
-
-def _delay(sizes: _Sizes) -> list[dict[str, Any]]:
-    late = sizes.shapes(sizes.robot.torque_rows, "delay", 0.0)
-    return [{"use": "delay", "tau": late}] if any(late) else []
-
-
-_EFFECTS: Final[tuple[Callable[[_Sizes], list[dict[str, Any]]], ...]] = (
-    *(_play, _load_friction, _stribeck, _curved, _harmonics),
-)
-_SENSORS: Final[tuple[Callable[[_Sizes], list[dict[str, Any]]], ...]] = (_drift, _delay)
 
 
 SAMPLES: Final = 6000
@@ -305,18 +231,23 @@ def fit_twin(
         )
     signals = tuple(joint_signals(robot, one, filter) for one in recordings)
     step = max(1, round(sum(len(one.t) for one in signals) / SAMPLES))
-    fits = {
-        name: select_effects(
+    fits = {}
+    for j, name in enumerate(robot.torque_rows):
+        fastest, torque = (
+            max(float(np.abs(getattr(one, x)[:, j]).max()) for one in signals) for x in ("v", "tau")
+        )
+        speed = max(float(rate_limit(robot)[robot.torque_dofs[j]]), fastest)
+        fits[name] = select_effects(
             JointColumns(signals, j, step),
             _allowed(robot, name, groups),
-            _limits(robot, signals, j),
+            JointLimits(speed, torque),
         )
-        for j, name in enumerate(robot.torque_rows)
-    }
     own, rate = with_friction(robot, fits), replay_rate(signals[0].rate)
     residuals = [fit.residual for fit in fits.values()]
     noise = coloured_noise(residuals, step / signals[0].rate, filter, rate)
-    return Twin(own, plant_keys(own, fits, noise), fits, rate, _sizes(signals))
+    rms = np.sqrt(np.mean(np.concatenate([one.tau for one in signals]) ** 2, axis=0))
+    sizes = tuple(np.where(rms > 0.0, rms, 1.0).tolist())
+    return Twin(own, plant_keys(own, fits, noise), fits, rate, sizes)
 
 
 def without_effects(
@@ -333,19 +264,20 @@ def without_effects(
     return left
 
 
-def _limits(robot: RobotModel, signals: Sequence[JointSignals], j: int) -> JointLimits:
-    """Bounds of the effects of measured joint j."""
-    fastest = max(float(np.abs(one.v[:, j]).max()) for one in signals)
-    limit = float(rate_limit(robot)[robot.torque_dofs[j]])
-    return JointLimits(
-        max(limit, fastest), max(float(np.abs(one.tau[:, j]).max()) for one in signals)
-    )
-
-
-def _sizes(signals: Sequence[JointSignals]) -> tuple[float, ...]:
-    tau = np.concatenate([one.tau for one in signals])
-    rms = np.sqrt(np.mean(tau**2, axis=0))
-    return tuple(np.where(rms > 0.0, rms, 1.0).tolist())
+def torque_of_bodies(fits: Mapping[str, JointFit], signals: JointSignals) -> Array:
+    """Return the measured torque (N, n) without what the kept effects add to viscous friction,
+    sign(v) and offset, and in time."""
+    left = []
+    for j, name in enumerate(signals.joints):
+        fit = fits[name]
+        # Of BASE without the effects, and of all columns.
+        friction, whole = (
+            sum(fit.values[x] * effect_values(signals, j, x, effects) for x in effects.columns)
+            for effects in (JointEffects(), fit.effects)
+        )
+        tau = np.interp(signals.t + fit.effects.delay, signals.t, signals.tau[:, j])
+        left.append(tau - np.asarray(whole - friction))
+    return np.column_stack(left)
 
 
 def _allowed(robot: RobotModel, row: str, groups: Collection[str] | None) -> list[str]:

@@ -1,26 +1,32 @@
 """Recorded robot with its training and test recordings, and the Cramer-Rao bound of predictions at
 the noise that a repeated motion shows."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from sysid_bench.apps.twins.agreement import Residual, residual_correlation_time
+from sysid_bench import package_folders
+from sysid_bench.apps.twins.agreement import Residual, geometric_mean, residual_correlation_time
 from sysid_bench.apps.twins.effect_selection import processed_recording
 from sysid_bench.apps.twins.fit_twin import Twin, without_effects
 from sysid_bench.apps.twins.replay import Replay
-from sysid_bench.errors import EstimationError
+from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.evaluation.cramer_rao import torque_bound
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems, prepare_recordings
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log, repetition_torque
 from sysid_bench.identification.identify import identify
-from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.data_sets import SCHEME, find_dataset, is_dataset
+from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.sources import source_settings
 from sysid_bench.plugin_names import build
-from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_data import LogLike, log_list
+from sysid_bench.signals.log_description import LogDescription, find_description, log_description
+from sysid_bench.signals.pipeline_choice import DEFAULT
 from sysid_bench.types import Array
 from sysid_bench.words import FINDINGS
 
@@ -100,16 +106,16 @@ def repeat_bound(recorded: RecordedRobot) -> float | None:
     sqrt(2), taken as a first-order process. RMS over joints of the deviation of the prediction over
     the RMS torque.
     """
-    posed = prepare_recordings(
-        recorded.manifest,
-        recorded.training,
-        recorded.tests,
-        replace(recorded.options, pipeline=None),
-    )
-    noise = _noise(posed)
-    if noise is None:
+    posed = replace(recorded, options=replace(recorded.options, pipeline=None)).problems
+    source, rows = posed.source, posed.problem.rows
+    log = next(iter(source.tests.values()), None)
+    found = None if log is None else repetition_torque(source.training, log, rows)
+    if log is None or found is None:
         return None
-    std, correlation = noise
+    rate, columns = log.recording.rate, [log.robot.torque_rows.index(row) for row in rows]
+    apart = (found - log.recording.tau[:, columns]) / 2**0.5
+    seconds = geometric_mean([residual_correlation_time(column, rate) for column in apart.T])
+    std, correlation = np.maximum(apart.std(axis=0), 1e-9), float(np.exp(-1.0 / (rate * seconds)))
     covariance = torque_bound((W for W, _ in posed.problem.blocks()), np.diag(std**2), correlation)
     if covariance is None:
         return None
@@ -121,18 +127,52 @@ def repeat_bound(recorded: RecordedRobot) -> float | None:
     return float(np.sqrt(np.mean(variances.mean(axis=0) / test.torque**2)))
 
 
-def _noise(posed: Posed) -> tuple[Array, float] | None:
-    """Standard deviations (rows,) and the correlation of consecutive samples; None without a
-    repetition."""
-    source, rows = posed.source, posed.problem.rows
-    test = next(iter(source.tests.values()), None)
-    found = None if test is None else repetition_torque(source.training, test, rows)
-    if test is None or found is None:
-        return None
-    apart = (
-        found - test.recording.tau[:, [test.robot.torque_rows.index(r) for r in rows]]
-    ) / 2**0.5
-    rate = test.recording.rate
-    times = [residual_correlation_time(column, rate) for column in apart.T]
-    seconds = float(np.exp(np.mean(np.log(times))))
-    return np.maximum(apart.std(axis=0), 1e-9), float(np.exp(-1.0 / (rate * seconds)))
+def recorded_set(
+    model: str,
+    log: LogLike | Sequence[LogLike] = (),
+    test: LogLike | Sequence[LogLike] = (),
+    accept: tuple[str, ...] = (),
+    robots_dir: Path | None = None,
+) -> RecordedRobot:
+    """Return a robot and its logs: `model` with `log` to fit and `test` to judge on, or the name or
+    the folder of a data set, which has both. `accept`: contradictions in recordings that may pass.
+
+    Raises UsageError for names and files that do not exist.
+    """
+    logs, tests = log_list(log, "log"), log_list(test, "test")
+    if tests and not logs:
+        raise UsageError(
+            "--test names recordings to judge on, and there is none to fit: give --log run.toml, "
+            f"too, or leave --test out, and the recordings of the data set {model!r} are used."
+        )
+    if logs:
+        return RecordedRobot(
+            find_manifest(model, robots_dir),
+            tuple(map(find_description, logs)),
+            {f"test {k}" if k else "test": find_description(log) for k, log in enumerate(tests)},
+            LogOptions(pipeline={"use": DEFAULT}, accept=accept),
+        )
+    name, settings = source_settings(model)
+    if name not in package_folders.dataset_files() and not is_dataset(name):
+        raise UsageError(
+            f"Which recordings of {model!r}? Give --log run.toml, and --test other.toml to "
+            "judge on, or the name of a data set: sysid-bench list datasets."
+        )
+    found = of_data_set(name, accept, robots_dir)
+    return replace(found, manifest=replace(found.manifest, **settings))
+
+
+def of_data_set(
+    name: str, accept: tuple[str, ...] = (), robots_dir: Path | None = None
+) -> RecordedRobot:
+    """Return the robot of a data set with its logs; raises UsageError for an unknown name."""
+    described, place = find_dataset(name).described, f"{SCHEME}{name}"
+    options = LogOptions(
+        pipeline=described.pipeline or {"use": DEFAULT}, accept=(*described.accept, *accept)
+    )
+    return RecordedRobot(
+        find_manifest(place, robots_dir),
+        tuple(log_description(f"{place}/{log}", Path()) for log in described.train),
+        {log: log_description(f"{place}/{log}", Path()) for log in described.test},
+        options,
+    )

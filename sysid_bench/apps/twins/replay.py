@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,7 +42,14 @@ class Replay:
             part = noise_free_part(spec, LoadedRobot(self.robot, Path(folder)))
             sensors = MeasuredSensors(spec, part.simulated.built, part.task)
             raw = record(spec, part.simulated, sensors).raw
-        return _log(self.robot, raw if self.has_rates else replace(raw, v=None))
+        # As a log in memory, with the exact rates of the motion.
+        places = {joint.dofs[0]: joint.qadr for joint in self.robot.joints if len(joint.dofs) == 1}
+        names, dofs = self.robot.torque_rows, self.robot.torque_dofs
+        q: Array = raw.q[:, [places[name] for name in names]]
+        arrays = {"q": q, "tau": raw.tau}
+        if raw.v is not None and self.has_rates:
+            arrays["v"] = raw.v[:, dofs]
+        return log_of(arrays, {"joints": list(names), "rate": f"{raw.rate} Hz"}, "replay")
 
     def spec(self, rate: float, seed: int) -> ExperimentSpec:
         """Return the experiment of a replay at a rate (Hz), whose fields give its seeds."""
@@ -92,14 +99,3 @@ def _motion_text(robot: RobotModel, recording: Recording) -> str:
     table = np.column_stack([t, *(recording.q[:, joints[name].qadr] for name in names)])[::step]
     rows = [",".join(f"{x:.15g}" for x in row) for row in table]
     return "\n".join([",".join(["t", *(joints[name].name for name in names)]), *rows]) + "\n"
-
-
-def _log(robot: RobotModel, raw: Recording) -> LogDescription:
-    """The recording as a log in memory, with the exact rates of the motion."""
-    joints = {joint.dofs[0]: joint.qadr for joint in robot.joints if len(joint.dofs) == 1}
-    names, dofs = robot.torque_rows, robot.torque_dofs
-    q: Array = raw.q[:, [joints[name] for name in names]]
-    arrays = {"q": q, "tau": raw.tau}
-    if raw.v is not None:
-        arrays["v"] = raw.v[:, dofs]
-    return log_of(arrays, {"joints": list(names), "rate": f"{raw.rate} Hz"}, "replay")

@@ -6,9 +6,9 @@ from itertools import chain
 from typing import Any, Final
 
 import numpy as np
-from scipy.special import stdtrit
 
 from sysid_bench.errors import EstimationError
+from sysid_bench.evaluation.intervals import confidence_level, coverage_factor, jackknife_std
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.processed_rows import row_factor
 from sysid_bench.experiments.recorded.extra_columns import (
@@ -121,8 +121,6 @@ def _with_candidates(
     )
 
 
-CONFIDENCE: Final = 0.95
-
 SEPARATE: Final = 1e-3
 """Share of the payload's column of a row that the other columns must leave, for a mass there."""
 
@@ -144,7 +142,7 @@ class PayloadMass:
     std: float
     interval: tuple[float, float]
     parts: tuple[float, ...]
-    confidence: float = CONFIDENCE
+    confidence: float
     by_joint: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -169,12 +167,12 @@ def payload_mass(
         values = np.array([_row_mass(one.factors[i], index) for one in (problem, *parts)])
         # No mass of its own where the row's other unknowns explain the payload's torque as well.
         if np.isfinite(values).all():
-            by_joint[row] = (float(values[0]), float(_jackknife(values[1:, None])[0][0]))
-    spread, factor = _jackknife(np.array(masses)[:, None])
+            by_joint[row] = (float(values[0]), float(jackknife_std(values[1:, None])[0][0]))
+    spread, freedom = jackknife_std(np.array(masses)[:, None])
     std = float(np.sqrt(spread[0] ** 2 + _disagreement(by_joint)))
-    mass = float(beta[index])
+    mass, factor = float(beta[index]), coverage_factor(freedom)
     interval = (mass - factor * std, mass + factor * std)
-    return PayloadMass(mass, std, interval, tuple(masses), by_joint=by_joint)
+    return PayloadMass(mass, std, interval, tuple(masses), confidence_level(), by_joint)
 
 
 def _disagreement(by_joint: Mapping[str, tuple[float, float]]) -> float:
@@ -228,23 +226,15 @@ def payload_interval(
         mass, com, inertia = body_mass_inertia(problem.base.embed(one)[at])
         rows.append(np.concatenate([[mass], com, inertia_values(inertia)]))
     found = np.array(rows)
-    std, factor = _jackknife(found[1:])
-    ends = np.stack([found[0] - factor * std, found[0] + factor * std], axis=1)
+    std, freedom = jackknife_std(found[1:])
+    reach = coverage_factor(freedom) * std
+    ends = np.stack([found[0] - reach, found[0] + reach], axis=1)
     parts = {"mass": (slice(0, 1), 1), "com": (slice(1, 4), 4), "inertia": (slice(4, 10), 10)}
     return {
         name: ends[where].tolist()
         for name, (where, needed) in parts.items()
         if known[:needed].all() and found[0, 0] > 0
     }
-
-
-def _jackknife(values: Array) -> tuple[Array, float]:
-    """Standard deviations (k,) of n estimates (n, k) that leave out one part each, and the half
-    length of an interval in these deviations, by Student's t."""
-    n = len(values)
-    # The jackknife inflates the scatter by (n - 1)^2: estimates that share most data differ little.
-    spread = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
-    return np.sqrt((n - 1) / n * spread), float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2))
 
 
 def _identified(method: Any, part: Problem) -> Array:

@@ -17,7 +17,6 @@ from sysid_bench.harness.comparison.run_values import CellValues, RunValues, Tol
 from sysid_bench.harness.comparison.speed import ALL, Key, Speed
 from sysid_bench.input_files import parse_json
 from sysid_bench.metrics import METRICS, metric_from_record, metric_record
-from sysid_bench.types import Metric
 
 SCHEMA: Final = 1
 _DIGITS: Final = 7
@@ -192,7 +191,15 @@ def _baseline(text: str) -> Baseline:
 
 
 def _run(values: Mapping[str, Any]) -> RunValues:
-    metrics = dict(map(_metric, values["metrics"]))
+    metrics = {}
+    for record in values["metrics"]:  # of plug-ins their record, else the name
+        name = record if isinstance(record, str) else record["name"]
+        if name in METRICS:
+            metrics[name] = METRICS[name]
+        elif isinstance(record, str):
+            raise unknown_name("metric", name, METRICS)
+        else:
+            metrics[name] = metric_from_record(record)
     robots = values["robots"].items()
     speeds = {
         (robot, part): Speed(float(ratio), float(noise), int(count))
@@ -212,16 +219,6 @@ def _run(values: Mapping[str, Any]) -> RunValues:
         origin=dict(values["origin"]),
         speeds=speeds,
     )
-
-
-def _metric(record: Any) -> tuple[str, Metric]:
-    """A metric by its name; those of plug-ins by their record."""
-    name = record if isinstance(record, str) else record["name"]
-    if name in METRICS:
-        return name, METRICS[name]
-    if isinstance(record, str):
-        raise unknown_name("metric", name, METRICS)
-    return name, metric_from_record(record)
 
 
 def _cells(robot: str, block: Mapping[str, Any], count: int) -> Iterator[tuple[str, CellValues]]:

@@ -103,6 +103,13 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
     found = {
         cell: cell_values(first, rows.get(cell), axes, metrics) for cell, first in planned.items()
     }
+    speeds: Mapping[Key, Speed] = {}
+    if times:
+        needed = ["id", "estimator", "status", "seconds_cpu", "seconds_experiment_cpu"]
+        timed = folder.frames().read("cells", [*needed, _KERNEL_TIME])
+        if {*needed} <= {*timed.columns}:  # rows from before CPU times were stored have no speed
+            done = [row for row in _records(timed) if row["status"] == "ok"]
+            speeds = relative_speed(part_times(done, planned))
     return RunValues(
         name=folder.suite.name,
         axes=axes,
@@ -110,19 +117,8 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
         cells=found,
         parameters=_true_parameters(folder, cells),
         origin=folder.environment,
-        speeds=relative_speed(_times(folder)) if times else {},
+        speeds=speeds,
     )
-
-
-def _times(folder: RunFolder) -> dict[Key, list[list[float]]]:
-    """CPU times (s) of the ok cells, a list for each group of repeats: of their estimators, and of
-    each experiment and its kernel once. None for a run from before CPU times were stored."""
-    columns = ["id", "estimator", "status", "seconds_cpu", "seconds_experiment_cpu"]
-    cells = folder.frames().read("cells", [*columns, _KERNEL_TIME])
-    if not {*columns} <= {*cells.columns}:
-        return {}
-    rows = [row for row in _records(cells) if row["status"] == "ok"]
-    return part_times(rows, folder.planned_fields)
 
 
 _KERNEL_TIME: Final = "seconds_kernel_cpu"

@@ -120,7 +120,15 @@ def compare_speed(
         replace(change, verdict="undecided") if change.robot in unknown else change
         for change in _relative(logs, noise)
     ]
-    return [*_pooled(known), *single]
+    by_part: dict[str, list[SpeedChange]] = {}
+    for change in known:
+        by_part.setdefault(change.part, []).append(change)
+    pooled = []
+    for part, found in by_part.items():
+        mean = float(np.mean([math.log(change.factor) for change in found]))
+        error = _mean_noise(change.noise for change in found)
+        pooled.append(_change(ALL, part, mean, error, SIGMAS_POOLED))
+    return [*pooled, *single]
 
 
 def _relative(logs: Mapping[Key, float], noise: Mapping[Key, float]) -> Iterator[SpeedChange]:
@@ -130,17 +138,6 @@ def _relative(logs: Mapping[Key, float], noise: Mapping[Key, float]) -> Iterator
             machine = median(map(logs.__getitem__, [(robot, part), *others]))
             error = math.hypot(noise[robot, part], _mean_noise(map(noise.__getitem__, others)))
             yield _change(robot, part, logs[robot, part] - machine, error)
-
-
-def _pooled(changes: Sequence[SpeedChange]) -> Iterator[SpeedChange]:
-    """Yield the change of each part of all robots together."""
-    by_part: dict[str, list[SpeedChange]] = {}
-    for change in changes:
-        by_part.setdefault(change.part, []).append(change)
-    for part, found in by_part.items():
-        mean = float(np.mean([math.log(change.factor) for change in found]))
-        noise = _mean_noise(change.noise for change in found)
-        yield _change(ALL, part, mean, noise, SIGMAS_POOLED)
 
 
 def _mean_noise(noise: Iterable[float]) -> float:

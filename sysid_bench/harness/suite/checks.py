@@ -165,6 +165,6 @@ def condition(row: bool, text: Any, info: ValidationInfo) -> str:
 Sweep = Annotated[tuple[Value, ...], BeforeValidator(list_of)]
 ListSweep = Annotated[tuple[Value, ...], BeforeValidator(key_list)]
 """Sweep of values that are lists themselves."""
-List = Annotated[tuple[Value, ...], BeforeValidator(list_values)]
+ListOf = Annotated[tuple[Value, ...], BeforeValidator(list_values)]
 RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
 Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]

@@ -20,7 +20,7 @@ from pydantic import (
 from sysid_bench.errors import unknown_name
 from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
-    List,
+    ListOf,
     ListSweep,
     SuiteTable,
     Sweep,
@@ -197,7 +197,7 @@ class DefaultSettings(SuiteTable):
     """The training motion: `sysid-bench list excitations`."""
     motions: Sweep[Annotated[StrictInt, Field(ge=1, le=1000)]] = (1,)
     """Different training motions, recorded one after the other."""
-    redrawn: List[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))]] = ()
+    redrawn: ListOf[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))]] = ()
     """What differs from repeat to repeat besides the noise."""
     held_out: ListSweep[Annotated[tuple[Named[Excitation], ...], BeforeValidator(_motions)]] = (
         Field(default=(("fourier-other", "ptp"),), validate_default=True)

@@ -10,6 +10,7 @@ from typing import Any, Final, get_args
 from pydantic import BaseModel, ValidationError
 
 from sysid_bench.errors import UsageError
+from sysid_bench.evaluation.intervals import LEVEL, confidence_level
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.experiments.third_party import log_reader_names, manifest_terms, term_names
 from sysid_bench.harness.suite.checks import CheckInput, list_of
@@ -59,6 +60,8 @@ def parse_suite(
         data = set_values(data, overrides)
     if folder is not None and "origin" not in data:
         data["origin"] = {"folder": str(folder)}
+    if confidence_level() != LEVEL:  # stated on the command line
+        data["confidence"] = confidence_level()
     return _validate(data, file, known_lines, names or default_names())
 
 

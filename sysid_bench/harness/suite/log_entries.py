@@ -17,7 +17,7 @@ from pydantic import (
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.suite.checks import (
-    List,
+    ListOf,
     ListSweep,
     SuiteTable,
     Sweep,
@@ -119,7 +119,7 @@ class LogEntry(SuiteTable):
     """Name or path of the robot that was recorded."""
     name: StrictStr | None = None  # label of its rows; default: its training logs
     train: Sweep[Log]  # log descriptions that are identified from
-    test: List[Log] = ()  # log descriptions of the scores
+    test: ListOf[Log] = ()  # log descriptions of the scores
     task: Annotated[str, PlainValidator(partial(check_task, recorded=True))] = "robot"
     """`robot`, `payload`, `wrench` or `actuators`."""
     terms: ListSweep[Terms] = (None,)

@@ -8,11 +8,13 @@ from pydantic import (
     BeforeValidator,
     Field,
     PlainValidator,
+    StrictFloat,
     StrictInt,
     StrictStr,
     model_validator,
 )
 
+from sysid_bench.evaluation.intervals import LEVEL
 from sysid_bench.harness.suite.checks import (
     Folder,
     RowCondition,
@@ -97,6 +99,7 @@ class Suite(SuiteTable):
     name: Folder  # name of the run folder
     title: StrictStr = ""  # one line about the suite
     seed: StrictInt = Field(default=0, ge=0)  # root of all random numbers
+    confidence: StrictFloat = Field(default=LEVEL, gt=0, lt=1)  # level of all intervals
     origin: Origin | None = None  # written when a suite is frozen in its run folder
     run: Run = Run()  # limits and repeats
     defaults: DefaultSettings = Field(default={}, validate_default=True)  # what is swept

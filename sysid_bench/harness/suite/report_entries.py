@@ -20,7 +20,7 @@ from sysid_bench import words
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.checks import (
     Folder,
-    List,
+    ListOf,
     MetricChoice,
     RowCondition,
     SuiteTable,
@@ -209,7 +209,7 @@ class Claim(SuiteTable):
     """Side of the threshold on which it holds."""
     threshold: Annotated[tuple[float, ...], PlainValidator(_limits)] = ()
     """A number; two for `within`."""
-    level: List[Annotated[str, choice_of("level", words.CLAIM_LEVELS)]] = ()
+    level: ListOf[Annotated[str, choice_of("level", words.CLAIM_LEVELS)]] = ()
     """Plants that it is tested on, one by one; default: all rows together."""
     over: Annotated[str, choice_of("unit of replication", words.CLAIM_UNITS)] = "robot"
     gate: StrictBool = False  # `run --gate` ends with code 1 where it fails

@@ -144,18 +144,14 @@ def memory_use(process: int, enough: float) -> float:
     proportional figures of the kernel, which are slow, count them once.
     """
     tree = [process, *tree_of(process)]
-    resident = sum(map(_resident_bytes, tree))
-    return resident if resident <= enough else sum(map(_proportional_bytes, tree))
-
-
-def _resident_bytes(process: int) -> int:
-    with contextlib.suppress(OSError, ValueError, IndexError):
-        return _PAGE * int((_PROC / str(process) / "statm").read_text().split()[1])
-    return 0
-
-
-def _proportional_bytes(process: int) -> int:
-    with contextlib.suppress(OSError, ValueError, IndexError):
-        text = (_PROC / str(process) / "smaps_rollup").read_text()
-        return 1024 * int(text.partition("\nPss:")[2].split()[0])
-    return 0
+    resident = proportional = 0
+    for one in tree:
+        with contextlib.suppress(OSError, ValueError, IndexError):  # it has ended
+            resident += _PAGE * int((_PROC / str(one) / "statm").read_text().split()[1])
+    if resident <= enough:
+        return resident
+    for one in tree:
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            text = (_PROC / str(one) / "smaps_rollup").read_text()
+            proportional += 1024 * int(text.partition("\nPss:")[2].split()[0])
+    return proportional

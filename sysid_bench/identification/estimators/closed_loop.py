@@ -1,10 +1,9 @@
 """Gauss-Newton on the simulated closed loop: output error, input error, guarded DIDIM."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -36,19 +35,37 @@ Signal = Callable[[Experiment, Recording], Array]
 """Compared signal (N, channels) of a recording."""
 
 
+DIFFERENCES, SENSITIVITY, CORRECTED, FIRST, REGRESSOR = (
+    *("differences", "sensitivity", "corrected", "first", "regressor"),
+)
+
+
 @dataclass(frozen=True, eq=False)
-class _SignalError(ABC):
-    """Measured minus simulated signal."""
+class OutputError:
+    """Measured minus simulated signal, with a Jacobian of one kind.
+
+    DIFFERENCES: by r simulations. SENSITIVITY: of the sensitivity equations, without simulations.
+    CORRECTED: that plus its difference from finite differences at an iterate within NEAR standard
+    deviations, which hardly depends on beta. FIRST: finite differences at the first iterate, which
+    Broyden updates correct. REGRESSOR: of torques, W along the simulated motion; it leaves out how
+    that motion depends on beta.
+    """
 
     experiment: Experiment
     simulatable: SimulatableSet
     signal: Signal
-    approximates = False
+    kind: str = DIFFERENCES
+
+    @property
+    def approximates(self) -> bool:
+        """True where Broyden updates correct the Jacobian."""
+        return self.kind not in (DIFFERENCES, CORRECTED)
 
     @property
     def exact(self) -> Model | None:
-        """None: the Jacobian decides."""
-        return None
+        """The same with the Jacobian that decides; None where it is this one."""
+        decides = {SENSITIVITY: CORRECTED, FIRST: DIFFERENCES}.get(self.kind)
+        return None if decides is None else replace(self, kind=decides)
 
     @cached_property
     def measured(self) -> Array:
@@ -66,17 +83,31 @@ class _SignalError(ABC):
         error = self.measured - self.signal(self.experiment, simulated)
         return ModelResult(theta, self.experiment.problem.base.K @ theta, error, simulated)
 
-    @abstractmethod
     def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (N, channels, r) of the simulated signal by beta."""
+        assert trial.recording is not None
+        if self.kind == REGRESSOR:
+            return regressor_of(self.experiment, trial.recording.motion)
+        if self.kind == DIFFERENCES:
+            return self._differences(trial)
+        if self.kind == FIRST:
+            if "first" not in vars(self):
+                vars(self)["first"] = self._differences(trial)
+            return np.asarray(vars(self)["first"])
+        sensitivity = self._sensitivity(trial)
+        if self.kind == SENSITIVITY:
+            return sensitivity
+        if "kept" in vars(self):
+            beta, exact, correction = vars(self)["kept"]
+            # RMS distance from the iterate with finite differences, in standard deviations.
+            moved = exact @ (trial.beta - beta) / error_noise(trial.error, self.floor)
+            if np.linalg.norm(moved) / np.sqrt(len(beta)) <= NEAR:
+                return np.asarray(sensitivity + correction)
+        exact = self._differences(trial)
+        vars(self)["kept"] = trial.beta, exact, exact - sensitivity
+        return exact
 
-
-@dataclass(frozen=True, eq=False)
-class OutputError(_SignalError):
-    """The error with a Jacobian by finite differences of simulations."""
-
-    def jacobian(self, trial: ModelResult) -> Array:
-        """Derivative (N, channels, r) of the simulated signal, by r simulations."""
+    def _differences(self, trial: ModelResult) -> Array:
         assert trial.recording is not None
         # A step of one base parameter moves theta as little as the metric allows: it stays
         # feasible.
@@ -93,20 +124,7 @@ class OutputError(_SignalError):
             columns.append((trial.error - other.error) / size)
         return np.stack(columns, axis=-1)
 
-
-@dataclass(frozen=True, eq=False)
-class _Sensitivity(OutputError):
-    """The error with the Jacobian of the sensitivity equations."""
-
-    approximates = True
-
-    @property
-    def exact(self) -> Model | None:
-        """The same, corrected by finite differences."""
-        return _CorrectedSensitivity(self.experiment, self.simulatable, self.signal)
-
-    def jacobian(self, trial: ModelResult) -> Array:
-        """Derivative (N, channels, r) of the simulated signal, without simulations."""
+    def _sensitivity(self, trial: ModelResult) -> Array:
         experiment, recording = self.experiment, trial.recording
         assert recording is not None
         dq, dtau = TrackingSensitivity(experiment, recording, trial.beta).jacobian()
@@ -117,91 +135,27 @@ class _Sensitivity(OutputError):
         return np.stack(columns, axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
-class _CorrectedSensitivity(_Sensitivity):
-    """The same plus its difference from the Jacobian by finite differences at an iterate within
-    NEAR standard deviations, which hardly depends on beta."""
-
-    approximates = False
-
-    @property
-    def exact(self) -> Model | None:
-        """None: it decides."""
-        return None
-
-    def jacobian(self, trial: ModelResult) -> Array:
-        """Derivative (N, channels, r) of the simulated signal, by r simulations where there is no
-        iterate nearby with finite differences."""
-        sensitivity = super().jacobian(trial)
-        if "kept" in vars(self):
-            beta, exact, correction = vars(self)["kept"]
-            # RMS distance from the iterate with finite differences, in standard deviations.
-            moved = exact @ (trial.beta - beta) / error_noise(trial.error, self.floor)
-            if np.linalg.norm(moved) / np.sqrt(len(beta)) <= NEAR:
-                return np.asarray(sensitivity + correction)
-        exact = OutputError.jacobian(self, trial)
-        vars(self)["kept"] = trial.beta, exact, exact - sensitivity
-        return exact
-
-
-@dataclass(frozen=True, eq=False)
-class _FirstJacobian(OutputError):
-    """The error with the Jacobian of the first iterate for all, which Broyden updates correct."""
-
-    approximates = True
-
-    @property
-    def exact(self) -> Model | None:
-        """The same, with finite differences at every iterate."""
-        return OutputError(self.experiment, self.simulatable, self.signal)
-
-    def jacobian(self, trial: ModelResult) -> Array:
-        """Derivative (N, channels, r) of the signal that was simulated first."""
-        if "first" not in vars(self):
-            vars(self)["first"] = super().jacobian(trial)
-        return np.asarray(vars(self)["first"])
-
-
-@dataclass(frozen=True, eq=False)
-class _TorqueError(_SignalError):
-    """The error of torques, with the regressor along the simulated motion as Jacobian: it leaves
-    out how that motion depends on beta."""
-
-    approximates = True
-
-    def jacobian(self, trial: ModelResult) -> Array:
-        """Regressor W (N, rows, r) along the simulated motion."""
-        assert trial.recording is not None
-        return regressor_of(self.experiment, trial.recording.motion)
-
-
 def output_error(experiment: Experiment, simulatable: SimulatableSet, signal: Signal) -> Model:
     """Return measured minus simulated signal, first with the Jacobian of sensitivity equations, or
     with that of the start, which Broyden updates correct without simulations; then with one by
     finite differences near every iterate, which decides."""
-    kind = _Sensitivity if has_sensitivity(experiment) else _FirstJacobian
-    return kind(experiment, simulatable, signal)
+    kind = SENSITIVITY if has_sensitivity(experiment) else FIRST
+    return OutputError(experiment, simulatable, signal, kind)
 
 
-def _positions(_: Experiment, recording: Recording) -> Array:
-    return recording.q
-
-
-def _torques(experiment: Experiment, recording: Recording) -> Array:
-    return rows_of(experiment, recording.tau)
+SIGNALS: Final[Mapping[str, Signal]] = {
+    "q": lambda _, recording: recording.q,
+    "tau": lambda experiment, recording: rows_of(experiment, recording.tau),
+}
 
 
 @dataclass(frozen=True)
-class _OutputErrorFit(ABC):
+class _OutputErrorFit:
     """Fit of one signal of the simulated closed loop, within a budget."""
 
+    compared: ClassVar[str]
     iterations: int = 20
     budget: str | None = None
-
-    @property
-    @abstractmethod
-    def signal(self) -> Signal:
-        """The compared signal."""
 
     def __post_init__(self) -> None:
         """Raise UsageError for a budget that there is not."""
@@ -212,7 +166,7 @@ class _OutputErrorFit(ABC):
         start, UnsupportedError where the recording declares no controller."""
         experiment = with_budget(experiment, self.budget)
         simulatable, start = simulatable_start(experiment)
-        error = output_error(experiment, simulatable, self.signal)
+        error = output_error(experiment, simulatable, SIGNALS[self.compared])
         return GaussNewton(self.iterations).run(error, simulatable, start)
 
 
@@ -230,10 +184,7 @@ class CLOE(_OutputErrorFit):
     it needs exact gains. Walter and Pronzato (1997); Janot, Gautier, Jubien, Vandanjon (2014).
     """
 
-    @property
-    def signal(self) -> Signal:
-        """Positions."""
-        return _positions
+    compared: ClassVar[str] = "q"
 
 
 @dataclass(frozen=True)
@@ -251,10 +202,7 @@ class CLIE(_OutputErrorFit):
     Vandanjon (2014).
     """
 
-    @property
-    def signal(self) -> Signal:
-        """Torques."""
-        return _torques
+    compared: ClassVar[str] = "tau"
 
 
 @dataclass(frozen=True)
@@ -278,5 +226,5 @@ class GuardedDIDIM:
         """Return beta and its covariance; raises EstimationError where no step improves on the
         start, UnsupportedError where the recording declares no controller."""
         simulatable, start = simulatable_start(experiment)
-        error = _TorqueError(experiment, simulatable, _torques)
+        error = OutputError(experiment, simulatable, SIGNALS["tau"], REGRESSOR)
         return GaussNewton(self.iterations).run(error, simulatable, start)

@@ -7,7 +7,7 @@ and the simulated motion near the measured one, for any parameters."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from scipy.signal import decimate
@@ -34,13 +34,7 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     simulatable_start,
     weighted_fit,
 )
-from sysid_bench.types import (
-    Array,
-    Estimate,
-    Experiment,
-    Problem,
-    Recording,
-)
+from sysid_bench.types import Array, Estimate, Experiment, Problem, Recording
 
 SIGNIFICANT: Final = 0.1
 """Largest relative standard deviation of a parameter whose change counts: that of an essential
@@ -60,15 +54,10 @@ class LinearFit:
     R: Array
     residual: float
 
-    def estimate(self, iterations: int, converged: bool, stop: str) -> Estimate:
-        """The estimate after some iterations."""
-        return Estimate(
-            self.beta,
-            covariance=self.covariance,
-            converged=converged,
-            iterations=iterations,
-            stop=stop,
-        )
+    def estimate(self, count: int, converged: bool, stop: str) -> Estimate:
+        """The estimate after `count` iterations."""
+        words: dict[str, Any] = {"converged": converged, "iterations": count, "stop": stop}
+        return Estimate(self.beta, covariance=self.covariance, **words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +103,8 @@ class PublishedFit:
             count += 1
             if before is not None and self._is_met(found, before):
                 change = f"change by at most {100 * self.tolerance:g} %"
-                return found.estimate(
-                    count, True, f"residual norm and significant parameters {change}"
-                )
+                stop = f"residual norm and significant parameters {change}"
+                return found.estimate(count, True, stop)
             # Bodies with this beta, or with the nearest one that bodies have.
             exact = self.simulatable.with_base(theta, found.beta)
             nearest = self.simulatable.nearest

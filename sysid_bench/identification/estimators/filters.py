@@ -80,13 +80,10 @@ class JointFilter:
         pushed = np.concatenate([np.zeros((1, n)), np.diag(self.tau_noise)])
         a = self.forward.acceleration(beta, q, v, pushed)  # of one state, under n + 1 torques
         # The acceleration is affine in the torque: these are columns of M^-1 times the noise.
-        return self._process_noise((a[1:] - a[0]).T, len(mean))
+        return self.noise_of_push((a[1:] - a[0]).T, len(mean))
 
-    def process_noise_of(self, M: Array, size: int) -> Array:
-        """The same (size, size) for a known mass matrix M (n, n)."""
-        return self._process_noise(np.linalg.solve(M, np.diag(self.tau_noise)), size)
-
-    def _process_noise(self, push: Array, size: int) -> Array:
+    def noise_of_push(self, push: Array, size: int) -> Array:
+        """The same (size, size) for `push` (n, n), M^-1 times the deviations of the torques."""
         n, dt = self.n, self.forward.dt
         # Torque noise held over one sample moves v by dt M^-1 w and q by half of dt times that.
         gain = np.concatenate([0.5 * dt**2 * push, dt * push, np.zeros((size - 2 * n, n))])
@@ -107,7 +104,7 @@ class JointFilter:
     def start(self) -> FilterEstimate:
         """State of the first sample, with beta of the prior, else of least squares."""
         n, recording = self.n, self.experiment.recording
-        beta, covariance = _begin(self.experiment)
+        beta, covariance = _first_parameters(self.experiment)
         v = recording.motion.v[0]
         spread = np.concatenate(
             [self.q_noise, 0.1 * np.sqrt((recording.motion.v**2).mean(axis=0)) + 1e-9]
@@ -154,7 +151,8 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     return JointFilter(experiment, forward, measured, q_noise, tau_noise)
 
 
-def _begin(experiment: Experiment) -> tuple[Array, Array]:
+def _first_parameters(experiment: Experiment) -> tuple[Array, Array]:
+    """Mean (r,) and covariance (r, r) of beta before the first sample."""
     problem = experiment.problem
     K = problem.base.K
     if problem.prior is not None and experiment.moving is None:
@@ -221,7 +219,8 @@ class EKF(_NonlinearFilter):
         F = np.eye(len(mean))
         F[: 2 * n] = np.concatenate([x.dq[0], x.dv[0]])
         assert x.M is not None
-        P = F @ belief.covariance @ F.T + model.process_noise_of(x.M[0], len(mean))
+        push = np.linalg.solve(x.M[0], np.diag(model.tau_noise))
+        P = F @ belief.covariance @ F.T + model.noise_of_push(push, len(mean))
         return FilterEstimate(np.concatenate([x.q[0], x.v[0], mean[2 * n :]]), 0.5 * (P + P.T))
 
 

@@ -1,6 +1,6 @@
 """Maximum likelihood with noise on positions and torques."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -63,14 +63,18 @@ class ML:
         keep = diags_array(inside)
         data = _Data(experiment, ((keep @ first).tocsr(), (keep @ second).tocsr()))
         beta = start = solve(stacked_factor(experiment.problem))
-        q, sigma = data.q, _torque_noise(data, beta, data.q)
+        q, line = data.q, data.line(beta, data.q)
+        sigma = line.torque_noise(line.error.reshape(-1, line.rows), np.zeros(line.rows))
         share, before = 1.0, np.inf
         for count in range(1, self.iterations + 1):
             line = data.line(beta, q)
             R, step, q_new, rest = line.solved(sigma)
             size = step_rms(R, step)
             if has_converged(R, step, beta):
-                return _estimate(beta + step, R, count, SMALL)
+                return Estimate(
+                    beta + step, covariance=covariance(R), converged=True, iterations=count,
+                    stop=SMALL,
+                )  # fmt: skip
             if size > SHRINKS * before:
                 share *= 0.5
             before = size
@@ -80,16 +84,10 @@ class ML:
                 break
         check_estimate(experiment.problem, beta, start)
         stop = f"the limit of {self.iterations} iterations; the last step was {size:.3g} standard"
-        return replace(_estimate(beta, R, count, f"{stop} deviations"), converged=False)
-
-
-def _estimate(beta: Array, R: Array, count: int, stop: str) -> Estimate:
-    return Estimate(beta, covariance=covariance(R), converged=True, iterations=count, stop=stop)
-
-
-def _torque_noise(data: "_Data", beta: Array, q: Array) -> Array:
-    line = data.line(beta, q)
-    return line.torque_noise(line.error.reshape(-1, line.rows), np.zeros(line.rows))
+        return Estimate(
+            beta, covariance=covariance(R), converged=False, iterations=count,
+            stop=f"{stop} deviations",
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,25 +126,23 @@ class _Data:
     def _torque_slope(self, beta: Array, motion: Trajectory, which: int, D: csr_array) -> csr_array:
         """Share (M rows, N n) of d tau / d q through q, v or a (`which` 0, 1, 2), which is D q."""
         count, n = D.shape[0], motion.q.shape[1]
-        blocks = [self._slope(beta, motion, which, j)[1:-1] for j in range(n)]
+        arrays, blocks = [motion.q, motion.v, motion.a], []
+        for j in range(n):  # derivative (N, rows) of the torque by q, v or a of joint j
+            size = RELATIVE_STEP * max(float(np.abs(arrays[which][:, j]).max()), 1e-3)
+            sides = []
+            for sign in (1, -1):
+                moved = [x.copy() for x in arrays]
+                moved[which][:, j] += sign * size
+                there = Trajectory(motion.t, moved[0], moved[1], moved[2])
+                torque = regressor_of(self.experiment, there) @ beta
+                sides.append(torque + self.experiment.known(there))
+            slope = (sides[0] - sides[1]) / (2 * size)
+            if which == 1:  # the jump of Coulomb friction at standstill has no derivative
+                slope[np.abs(motion.v[:, j]) <= size] = 0.0
+            blocks.append(slope[1:-1])
         # Block-diagonal: a sample's torque depends on the same sample of q, v and a.
         B = bsr_array((np.stack(blocks, axis=-1), np.arange(count), np.arange(count + 1)))
         return csr_array(B @ kron(D, eye_array(n), format="csr"))
-
-    def _slope(self, beta: Array, motion: Trajectory, which: int, j: int) -> Array:
-        """Derivative (N, rows) of the torque by q, v or a (`which` 0, 1, 2) of joint j."""
-        arrays = [motion.q.copy(), motion.v.copy(), motion.a.copy()]
-        size = RELATIVE_STEP * max(float(np.abs(arrays[which][:, j]).max()), 1e-3)
-        sides = []
-        for sign in (1, -1):
-            moved = [x.copy() for x in arrays]
-            moved[which][:, j] += sign * size
-            there = Trajectory(motion.t, moved[0], moved[1], moved[2])
-            sides.append(regressor_of(self.experiment, there) @ beta + self.experiment.known(there))
-        slope = (sides[0] - sides[1]) / (2 * size)
-        if which == 1:  # the jump of Coulomb friction at standstill has no derivative
-            slope[np.abs(motion.v[:, j]) <= size] = 0.0
-        return np.asarray(slope)
 
 
 @dataclass(frozen=True, eq=False)

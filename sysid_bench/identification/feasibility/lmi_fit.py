@@ -179,16 +179,6 @@ def estimate_of(feasible: FeasibleSet, fit: Fit) -> Estimate:
     return Estimate(theta=feasible.scale * fit.x, stats=stats)
 
 
-def _settings(step: float) -> clarabel.DefaultSettings:
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
-    settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = ACCEPTED
-    settings.tol_feas, settings.reduced_tol_feas = FEASIBLE
-    settings.max_step_fraction = step
-    return settings
-
-
 def _solved(
     feasible: FeasibleSet, limits: Limits, origin: Array, T: Array, P: Array, q: Array
 ) -> tuple[Array, float, int]:
@@ -204,14 +194,20 @@ def _solved(
     P = P * size * size[:, None]
     free = -size * cho_solve(cho_factor(P), size * q) if q.any() else np.zeros(len(q))
     origin, T = origin + T @ free, T * size
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
+    settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = ACCEPTED
+    settings.tol_feas, settings.reduced_tol_feas = FEASIBLE
     for step, scale in ATTEMPTS:
+        settings.max_step_fraction = step
         answer = clarabel.DefaultSolver(
             scipy.sparse.csc_matrix(scale * np.triu(P)),
             np.zeros(len(q)),
             scipy.sparse.csc_matrix(cones.G @ T),
             cones.h - cones.G @ origin,
             cones.cones(),
-            _settings(step),
+            settings,
         ).solve()
         status = str(answer.status)
         if status in SOLVED:

@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.feasibility.feasible_set import NOT_NEGATIVE, feasible_set_of
 from sysid_bench.spatial import pseudo_inertia
-from sysid_bench.types import Array, Prior, Problem
+from sysid_bench.types import Array, Problem
 
 WEIGHTS: Final = (1.0, 1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 """Homotopy: weights of the divergence against the relative squared misfit of beta. Each solution
@@ -194,12 +194,8 @@ def simulatable_set(problem: Problem) -> SimulatableSet:
     centre[first.bodies] = body
     if problem.prior is None:
         return first
-    return SimulatableSet(problem, _inside(first, problem.prior))
-
-
-def _inside(first: SimulatableSet, prior: Prior) -> Array:
-    """The prior, mixed with the first centre where it lies on or beyond the boundary."""
-    theta = prior.theta.copy()
+    # The prior, mixed with the first centre where it lies on or beyond the boundary
+    theta = problem.prior.theta.copy()
     for indices in first.bodies:
         body, centre = theta[indices], first.centre[indices]
         share = SMALLEST
@@ -208,7 +204,7 @@ def _inside(first: SimulatableSet, prior: Prior) -> Array:
         theta[indices] = body
     indices = first.nonnegative
     theta[indices] = np.where(theta[indices] > 0, theta[indices], SMALLEST * first.centre[indices])
-    return theta
+    return SimulatableSet(problem, theta)
 
 
 def _positive_definite(J: Array) -> bool:

@@ -6,7 +6,6 @@ that is left out must not be known from its repetition."""
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -42,7 +41,11 @@ class TimeBlocks:
         return self._of(joined, self.labels != label)
 
     def _of(self, factors: Sequence[Factor], kept: Array) -> Problem:
-        blocks = partial(_kept_blocks, self.problem, kept)
+        def blocks() -> Iterator[RowBlock]:
+            """The rows, zero at the samples that are not `kept` (N,)."""
+            for part, W, b in _labelled(self.problem, kept):
+                yield W * part[:, None, None], b * part[:, None]
+
         return replace(self.problem, factors=tuple(factors), blocks=blocks, motions=())
 
 
@@ -90,12 +93,6 @@ def _labelled(problem: Problem, labels: Array) -> Iterator[tuple[Array, Array, A
     for W, b in problem.blocks():
         yield labels[done : done + len(b)], W, b
         done += len(b)
-
-
-def _kept_blocks(problem: Problem, kept: Array) -> Iterator[RowBlock]:
-    """Yield the rows of a problem, zero at the samples that are not `kept` (N,)."""
-    for part, W, b in _labelled(problem, kept):
-        yield W * part[:, None, None], b * part[:, None]
 
 
 CROSS_VALIDATED: Final = "cross-validated"

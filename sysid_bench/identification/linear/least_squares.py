@@ -171,20 +171,6 @@ def fit_noise(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
     return with_floor(problem, residual_norm(problem, beta) / np.sqrt(freedom))
 
 
-def _max_torque_noise(problem: Problem) -> Array:
-    """Noise (rows,) of each row as one share of its largest |b|: the share is that of the residuals
-    of the fit with rows divided by max |b|, with M - r degrees of freedom for M equations."""
-    size = np.zeros(len(problem.rows))
-    for _, b in problem.blocks():
-        size = np.maximum(size, np.abs(b).max(axis=0, initial=0.0))
-    size = with_floor(problem, size)
-    beta, _, _ = scaled_fit(problem, size)
-    equations = sum(factor.samples for factor in problem.factors)
-    squares = float(((residual_norm(problem, beta) / size) ** 2).sum())
-    share = np.sqrt(squares / max(equations - problem.base.rank, 1))
-    return with_floor(problem, share * size)
-
-
 def check_weights(weights: str) -> None:
     """Raise UsageError for a word that is not in WEIGHTS."""
     if weights not in WEIGHTS:
@@ -201,7 +187,18 @@ def row_std(problem: Problem, weights: str) -> Array:
     """
     check_weights(weights)
     if weights == MAX_TORQUE:
-        return _max_torque_noise(problem)
+        # Noise (rows,) of each row as one share of its largest |b|: the share is that of the
+        # residuals of the fit with rows divided by max |b|, with M - r degrees of freedom for M
+        # equations
+        size = np.zeros(len(problem.rows))
+        for _, b in problem.blocks():
+            size = np.maximum(size, np.abs(b).max(axis=0, initial=0.0))
+        size = with_floor(problem, size)
+        beta, _, _ = scaled_fit(problem, size)
+        equations = sum(factor.samples for factor in problem.factors)
+        squares = float(((residual_norm(problem, beta) / size) ** 2).sum())
+        share = np.sqrt(squares / max(equations - problem.base.rank, 1))
+        return with_floor(problem, share * size)
     noise, torque = row_noise(problem), torque_rms(problem)
     loaded = torque > 0
     if weights == RESIDUALS or not loaded.any():

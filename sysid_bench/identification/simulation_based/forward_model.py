@@ -247,7 +247,11 @@ class SensitivityModel:
         before = self.measured.torque_without_friction(at, betas)
         tau = before + share * (self.measured.torque_without_friction(at + 1, betas) - before)
         given = self.measured.at_standstill(at)
-        Y, known = self._regressors(x)
+        # At zero and unit accelerations: (S, n + 1, n, r) and (S, n + 1, n).
+        S, n = x.q.shape
+        at_rest = unit_acceleration(x.q, x.v)
+        Y = regressor_of(self.forward.experiment, at_rest).reshape(S, n + 1, n, -1)
+        known = self.forward.experiment.known(at_rest).reshape(S, n + 1, n)
         needed = Y @ self._rigid + known
         M = (needed[:, 1:] - needed[:, :1]).transpose(0, 2, 1)
         a, solved_with = acceleration_of(M, tau - needed[:, 0], given)
@@ -262,15 +266,6 @@ class SensitivityModel:
         if given is not None:
             change[given[0]] = 0.0
         return a, -np.linalg.solve(solved_with, change), M
-
-    def _regressors(self, x: _StateSlopes) -> tuple[Array, Array]:
-        """Base regressor (S, n + 1, n, r) and known torque (S, n + 1, n) at zero and unit
-        accelerations."""
-        S, n = x.q.shape
-        motion = unit_acceleration(x.q, x.v)
-        Y = regressor_of(self.forward.experiment, motion)
-        known = self.forward.experiment.known(motion)
-        return Y.reshape(S, n + 1, n, -1), known.reshape(S, n + 1, n)
 
 
 def torque_jacobian(

@@ -58,8 +58,8 @@ class Model(Protocol):
     updates; where it finds no further step, or after half of the iterations, the same signals with
     an `exact` one go on (None: it decides)."""
 
-    approximates: bool
-
+    @property
+    def approximates(self) -> bool: ...
     @property
     def exact(self) -> "Model | None": ...
 

@@ -16,7 +16,7 @@ from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.commands.identify_result import IdentifyResult
 from sysid_bench.commands.result import OMIT_NONE
 from sysid_bench.errors import SHOWN, first_names
-from sysid_bench.evaluation.intervals import LEVEL, LEVEL_TEXT, new_value_interval
+from sysid_bench.evaluation.intervals import confidence_level, level_text, new_value_interval
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 
@@ -129,8 +129,8 @@ class ActuatorsResult(IdentifyResult):
         if self.files is not None:
             yield (
                 f"  between {self.files['count']} files, each fitted by itself: median deviation "
-                f"in % of the mean: {_percent(self.files['joints'])}; {LEVEL_TEXT} ranges of a new "
-                "file: --json"
+                f"in % of the mean: {_percent(self.files['joints'])}; {level_text()} ranges of a "
+                "new file: --json"
             )
         for one in self.judged if self.rollout_error is not None else ():
             yield (
@@ -278,7 +278,7 @@ def _between(singles: Sequence[DriveRows], fits: Sequence[DriveEstimate]) -> dic
     return {
         "covariance": covariance_fields(joints, repeat_covariance(usual, delays)),
         "count": len(fits),
-        "share": LEVEL,
+        "share": confidence_level(),
         "joints": by_joint,
         "delay": {key: float(x) for key, x in _ranges(delays).items()},
         # Attributes of MJCF joints, cut at zero.

@@ -1,4 +1,5 @@
-"""Identification of actuators from recordings of a robot with known links."""
+"""Identification of actuators from recordings of a robot with known links, and what their fit says
+of the time of commands."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -18,7 +19,11 @@ from sysid_bench.apps.actuators.commands.actuators_result import (
     joint_fields,
     motor_fields,
 )
-from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_recordings
+from sysid_bench.apps.actuators.drive_estimate import (
+    DriveEstimate,
+    identify_drives,
+    identify_recordings,
+)
 from sysid_bench.apps.actuators.drive_part import (
     DrivePart,
     drive_manifest,
@@ -44,6 +49,7 @@ from sysid_bench.commands.identify import Identify
 from sysid_bench.commands.identify_result import REPORTED
 from sysid_bench.commands.result import file_text
 from sysid_bench.commands.write_model import check_files, check_output_files
+from sysid_bench.diagnosis.finding import WARNING, Finding
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.torque_errors import known_rms, loaded_joints, rms
 from sysid_bench.experiments.recorded.model_prior import MODEL
@@ -51,6 +57,7 @@ from sysid_bench.experiments.recorded.prepare import TERMS_TOO
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log import Log
 from sysid_bench.signals.log_samples import scalar_kinds
 from sysid_bench.signals.position_control import DELAY
 from sysid_bench.types import Array
@@ -350,10 +357,35 @@ def _with_model(
         bias = found.drives.more.get("bias", np.zeros(len(commands.joints)))
         gap = largest_difference(again, simulated + bias)
         if gap > REPEATED:
-            doubt = (
+            warning = (
                 f"{target} does not repeat the simulation: positions differ by up to {gap:.1e} "
                 "rad (m); other actuators, tendons or options of the file may act"
             )
-            warnings = [*warnings, doubt]
+            warnings = [*warnings, warning]
     written = {"file": str(target), "gap": gap, "reason": reason}
     return replace(result, model_out=file_text(target), written=written, warnings=warnings)
+
+
+# --- Diagnosis ----------------------------------------------------------------------------------
+
+
+def command_delay(robot: RobotModel, log: Log, findings: Sequence[Finding]) -> list[Finding]:
+    """Return a finding where a delay below zero fits the commands of a position controller better;
+    none behind contradictions, which a fit would inherit."""
+    if log.commands is None or log.commands.delay is not None:
+        return []
+    if any(one.is_error for one in findings):
+        return []
+    profile = identify_drives(drive_rows(robot, log, log.joints)).profile
+    if profile is None or not profile.ahead:
+        return []
+    return [
+        Finding(
+            name="delay",
+            severity=WARNING,
+            message="commands act before they are stamped: a delay below zero fits better",
+            joints=log.joints,
+            blind="a delay of the drive that is longer than the stamps are late",
+            edit="check when the controller stores q_des, and shift its column by a sample",
+        )
+    ]

@@ -22,9 +22,7 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import ResidualSpectra
-from sysid_bench.types import Array, Estimate
-
-PathLike = str | Path
+from sysid_bench.types import Array
 
 LEAST_MASS: Final = 0.005
 """Smallest mass of a body of `lmi`, over that of the heaviest link in the model file. The program
@@ -73,30 +71,22 @@ def identify_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
     if truth not in TRUTHS:
         raise unknown_name("truth of a twin", truth, TRUTHS)
     locked = posed.source.training[0].robot
-    method = build("estimator", truth) if truth != "lmi" else _lmi_of_bodies(locked)
+    method = build("estimator", truth)
+    if truth == "lmi":  # bodies that have a size and a mass
+        method = LMI(margin=LEAST_ROUNDNESS, mass=(LEAST_MASS * locked.phi[:, 0].max(), np.inf))
     estimate = identify(method, posed.problem, posed.experiment)
     target = place.with_name(f"{place.stem}-robot{SUFFIXES[locked.format][0]}")
-    manifest = find_manifest(_written(posed, estimate, target, truth))
-    # The seeds of a replay are those of the robot that was asked for, not of a written file.
-    own = locked.manifest
-    return load_robot(replace(manifest, locked=own.locked, content=own.content))
-
-
-def _written(posed: Posed, estimate: Estimate, target: Path, truth: str) -> str:
-    """Path of the manifest of the written model; where it is refused, advise another truth."""
     distance = ENTROPIC if truth == "wls" else None
     try:
-        return write_recorded_model(posed, estimate, target, distance).manifest
+        written = write_recorded_model(posed, estimate, target, distance).manifest
     except (EstimationError, ModelError) as error:
         if truth == "lmi":
             raise
         reason = str(error).removesuffix(WAY_ON).strip()
         raise type(error)(f"{reason} --truth lmi needs no prior.") from error
-
-
-def _lmi_of_bodies(robot: RobotModel) -> LMI:
-    """`lmi` whose bodies have a size and a mass."""
-    return LMI(margin=LEAST_ROUNDNESS, mass=(LEAST_MASS * robot.phi[:, 0].max(), np.inf))
+    # The seeds of a replay are those of the robot that was asked for, not of a written file.
+    own = locked.manifest
+    return load_robot(replace(find_manifest(written), locked=own.locked, content=own.content))
 
 
 def replay_residual(recorded: RecordedRobot, found: Twin, seed: int) -> list[list[Residual]]:
@@ -120,16 +110,13 @@ def residual_spectra(
 ) -> ResidualSpectra:
     """Return the spectra of each source, averaged over its tests and draws."""
     f = np.geomspace(LOWEST, HIGHEST, POINTS)
-    densities = {
-        source: np.mean([_density(one, f) for one in several], axis=0)
-        for source, several in residuals.items()
-    }
+    densities = {}
+    for source, several in residuals.items():
+        each = []
+        for one in several:
+            samples = min(len(one.e), round(SEGMENT * one.rate))
+            own, density = welch(one.e, one.rate, nperseg=samples, axis=0)
+            columns = [np.interp(f, own[1:], column[1:]) for column in density.T]
+            each.append(np.maximum(np.column_stack(columns), 1e-30))
+        densities[source] = np.asarray(np.mean(each, axis=0))
     return ResidualSpectra(tuple(joints), f, densities)
-
-
-def _density(residual: Residual, f: Array) -> Array:
-    """Density (m, n) at frequencies f (m,)."""
-    samples = min(len(residual.e), round(SEGMENT * residual.rate))
-    own, density = welch(residual.e, residual.rate, nperseg=samples, axis=0)
-    columns = [np.interp(f, own[1:], column[1:]) for column in density.T]
-    return np.asarray(np.maximum(np.column_stack(columns), 1e-30))

@@ -123,8 +123,7 @@ def _places(suite: "Suite") -> dict[str, str]:
 def _bound(place: str | None) -> float | None:
     """The bound of a data set whose test repeats its training; None for others, and where the
     recordings are not here."""
-    from sysid_bench.apps.twins.commands.recorded_set import of_data_set
-    from sysid_bench.apps.twins.recorded_robot import repeat_bound
+    from sysid_bench.apps.twins.recorded_robot import of_data_set, repeat_bound
 
     try:
         return None if place is None else repeat_bound(of_data_set(place))

@@ -1,6 +1,6 @@
 """Verb `transfer`: what comparisons of methods on simulated replays predict of recorded robots."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import chain
@@ -17,7 +17,6 @@ from sysid_bench.errors import unknown_name
 
 if TYPE_CHECKING:
     from sysid_bench.apps.twins.agreement import Errors, VerdictCounts
-    from sysid_bench.apps.twins.commands.transfer_sources import TransferSource
 
 METHODS: Final = (
     *("ols", "wls", "irls", "huber", "tukey", "ridge"),
@@ -60,8 +59,8 @@ class TransferRequest(Request["TransferResult"]):
     )  # fmt: skip
     methods: Sequence[str] = METHODS
     levels: Sequence[str] = LEVELS
-    draws: int = option("Of the noise.", default=3, least=1, shown=True)
-    seed: int = option("", default=0, least=0, shown=True)
+    draws: int = option("Draws of the noise.", default=3, least=1, shown=True)
+    seed: int = option("Seed of the noise.", default=0, least=0, shown=True)
     figure: str | Path | None = figure_option()
     jobs: int = jobs_option()
 
@@ -77,9 +76,9 @@ class TransferRequest(Request["TransferResult"]):
 
     def compare(self, progress: Callable[[str], None] | None) -> "TransferResult":
         """Compare the methods; `progress` is called with each set that is done."""
-        from sysid_bench.apps.twins.commands.recorded_set import of_data_set
-        from sysid_bench.apps.twins.commands.transfer_sources import Sources
-        from sysid_bench.apps.twins.recorded_robot import METHOD
+        from sysid_bench.apps.twins.commands.transfer_sources import Sources, TransferSource
+        from sysid_bench.apps.twins.recorded_robot import METHOD, of_data_set
+        from sysid_bench.commands.work_process import run_work
         from sysid_bench.reporting.error_figures import transfer_figure
 
         _check_names(self.truth, self.methods, self.levels)
@@ -90,18 +89,25 @@ class TransferRequest(Request["TransferResult"]):
             for name in sets
         }
         work = {name: partial(one.errors, self.levels) for name, one in tried.items()}
-        found = _found(work, self.jobs, progress)
+        found: dict[str, TransferSource] = {}
+        for name, source in run_work(work, self.jobs):
+            found[name] = source
+            if progress is not None:
+                progress(f"{name}: {source.seconds:.0f} s")
         counts = _counts({name: found[name].errors for name in sets})
         figures = _figures(counts)
         if self.figure is not None:
-            transfer_figure(Path(self.figure), next(iter(figures.values())))
+            transfer_figure.write(Path(self.figure), next(iter(figures.values())))
         return TransferResult(
             sets=list(sets),
             methods=list(methods),
             truths=list(truths),
             draws=self.draws,
-            errors={name: _plain_errors(found[name].errors) for name in sets},
-            counts={source: _plain_counts(by_set) for source, by_set in counts.items()},
+            errors={name: dict(found[name].errors) for name in sets},
+            counts={
+                source: {name: asdict(one) for name, one in by_set.items()}
+                for source, by_set in counts.items()
+            },
             figures=figures,
             reasons={name: found[name].reasons for name in sets if found[name].reasons},
             seconds=sum(one.seconds for one in found.values()),
@@ -155,7 +161,7 @@ class TransferResult(Result):
     methods: list[str]
     truths: list[str]
     draws: int
-    errors: dict[str, dict[str, list[list[dict[str, float]]]]]
+    errors: dict[str, dict[str, Any]]
     counts: dict[str, dict[str, dict[str, float]]]
     figures: dict[str, dict[str, dict[str, Any]]]
     reasons: dict[str, dict[str, str]]
@@ -170,29 +176,29 @@ class TransferResult(Result):
         for group, figures in self.figures.items():
             lines += [f"{group}:", "", *_HEAD, *(_line(s, figures[s]) for s in figures), ""]
             lines += [f"Aim: {', '.join(self._verdicts(figures))}.", ""]
-        return "\n".join([*lines, *_SET_HEAD, *self._set_lines(), *self._failed_lines()])
-
-    def _failed_lines(self) -> list[str]:
+        lines += _SET_HEAD
+        for source, by_set in self.counts.items():
+            n = 1 if source == CEILING else self.draws
+            for name, one in by_set.items():
+                pairs = [f"{one[x] / n:.3g}" for x in ("claimed", "false", "real", "found")]
+                values = [one[x] for x in ("level", "misfit", "tau")]
+                cells = [*pairs, *("-" if x is None else f"{x:.2f}" for x in values)]
+                lines.append(f"| {name} | {source} | {' | '.join(cells)} |")
         failed = [
             f"- {name}, {source}: {reason}"
             for name, reasons in self.reasons.items()
             for source, reason in reasons.items()
         ]
-        return ["", "Failed:", "", *failed] if failed else []
+        return "\n".join([*lines, *(["", "Failed:", "", *failed] if failed else [])])
 
     def _verdicts(self, figures: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         """Verdicts of the sources on the aims; open where they depend on the identified model."""
+        words = {True: "reached", False: "missed", None: "not testable (no real differences)"}
         bases = dict.fromkeys(label.rpartition(", ")[0] for label in figures if label != CEILING)
         for base in bases:
             labels = [source_label(base, truth) for truth in self.truths]
             reached = {_reaches(figures[label]) for label in labels if label in figures}
-            yield f"{base} {_verdict(reached)}"
-
-    def _set_lines(self) -> Iterator[str]:
-        for source, by_set in self.counts.items():
-            n = 1 if source == CEILING else self.draws
-            for name, one in by_set.items():
-                yield f"| {name} | {source} | {' | '.join(_set_cells(one, n))} |"
+            yield f"{base} {words[reached.pop()] if len(reached) == 1 else 'open'}"
 
 
 _HEAD: Final = (
@@ -207,18 +213,6 @@ _SET_HEAD: Final = (
 )
 
 
-def _set_cells(one: Mapping[str, Any], draws: int) -> list[str]:
-    pairs = [f"{one[word] / draws:.3g}" for word in ("claimed", "false", "real", "found")]
-    return [*pairs, *(_number(one[word]) for word in ("level", "misfit", "tau"))]
-
-
-def _verdict(reached: Collection[bool | None]) -> str:
-    if len(reached) != 1:
-        return "open"
-    (verdict,) = reached
-    return {True: "reached", False: "missed", None: "not testable (no real differences)"}[verdict]
-
-
 def _reaches(figures: Mapping[str, Any]) -> bool | None:
     """True for a source that reaches the aims; None where no methods differ in reality."""
     false, found = figures["false"]["value"], figures["found"]["value"]
@@ -228,45 +222,20 @@ def _reaches(figures: Mapping[str, Any]) -> bool | None:
 
 
 def _line(source: str, figures: Mapping[str, Any]) -> str:
-    medians = [_median_text(figures[word]) for word in ("level", "misfit", "tau")]
-    shares = [_share_text(figures[word]) for word in ("false", "found")]
-    return f"| {source} | {figures['robots']} | {' | '.join([*medians, *shares])} |"
+    cells = [_text(figures[word], 1, ".2f") for word in ("level", "misfit", "tau")]
+    cells += [_text(figures[word], 100, ".0f") for word in ("false", "found")]
+    return f"| {source} | {figures['robots']} | {' | '.join(cells)} |"
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
-def _median_text(figure: Mapping[str, Any]) -> str:
+def _text(figure: Mapping[str, Any], scale: int, form: str) -> str:
+    """Value and interval: of a median, or of a share of pairs in per cent."""
     if figure["value"] is None:
         return "-"
-    text = f"{figure['value']:.2f}"
-    return text if figure["low"] is None else f"{text} [{figure['low']:.2f}, {figure['high']:.2f}]"
-
-
-def _share_text(share: Mapping[str, Any]) -> str:
-    if share["value"] is None:
-        return "-"
-    text = f"{100 * share['value']:.0f} % of {share['count']}"
-    if share["low"] is None:
-        return text
-    return f"{text} [{100 * share['low']:.0f}, {100 * share['high']:.0f}]"
-
-
-def _found(
-    work: "Mapping[str, Callable[[], TransferSource]]",
-    jobs: int,
-    progress: Callable[[str], None] | None,
-) -> "dict[str, TransferSource]":
-    """Sources by set, each reported as it is done."""
-    from sysid_bench.commands.work_process import run_work
-
-    found: dict[str, TransferSource] = {}
-    for name, one in run_work(work, jobs):
-        found[name] = one
-        if progress is not None:
-            progress(f"{name}: {one.seconds:.0f} s")
-    return found
+    of = "" if scale == 1 else f" % of {figure['count']}"
+    value = f"{scale * figure['value']:{form}}{of}"
+    if figure["low"] is None:
+        return value
+    return f"{value} [{scale * figure['low']:{form}}, {scale * figure['high']:{form}}]"
 
 
 def _check_names(truths: Sequence[str], methods: Sequence[str], levels: Sequence[str]) -> None:
@@ -283,46 +252,28 @@ def _check_names(truths: Sequence[str], methods: Sequence[str], levels: Sequence
         build("estimator", method)
 
 
-def _plain_errors(
-    sources: "Mapping[str, list[list[Errors]]]",
-) -> dict[str, list[list[dict[str, float]]]]:
-    return {s: [[dict(one) for one in tests] for tests in draws] for s, draws in sources.items()}
-
-
-def _plain_counts(by_set: "Mapping[str, VerdictCounts]") -> dict[str, dict[str, Any]]:
-    return {name: asdict(one) for name, one in by_set.items()}
-
-
 def _counts(
     errors: "Mapping[str, Mapping[str, list[list[Errors]]]]",
 ) -> "dict[str, dict[str, VerdictCounts]]":
     """Counts by source and set, those of CEILING first."""
-    counts: dict[str, dict[str, VerdictCounts]] = {CEILING: {}}
-    for name, sources in errors.items():
-        for source, of_set in _counts_of_set(sources).items():
-            counts.setdefault(source, {})[name] = of_set
-    return {source: by_set for source, by_set in counts.items() if by_set}
-
-
-def _counts_of_set(sources: "Mapping[str, list[list[Errors]]]") -> "dict[str, VerdictCounts]":
-    """Counts by source; those of CEILING take the first recorded test for simulated."""
     from sysid_bench.apps.twins.agreement import mean_counts, verdict_counts
     from sysid_bench.apps.twins.recorded_robot import METHOD
 
-    (real,) = sources[CEILING]
-    pairs = {source: [(one, real) for one in draws] for source, draws in sources.items()}
-    pairs[CEILING] = [(real[:1], real[1:])]
-    found = {
-        source: [verdict_counts(*pair, METHOD) for pair in of_source if _can_serve(*pair)]
-        for source, of_source in pairs.items()
-    }
-    return {source: mean_counts(counts) for source, counts in found.items() if counts}
-
-
-def _can_serve(simulated: "Sequence[Errors]", real: "Sequence[Errors]") -> bool:
-    from sysid_bench.apps.twins.recorded_robot import METHOD
-
-    return bool(simulated and real) and all(METHOD in one for one in (*simulated, *real))
+    counts: dict[str, dict[str, VerdictCounts]] = {CEILING: {}}
+    for name, sources in errors.items():
+        (real,) = sources[CEILING]
+        for source, draws in sources.items():
+            # Of CEILING the first recorded test is taken for simulated.
+            pairs = [(real[:1], real[1:])] if source == CEILING else [(one, real) for one in draws]
+            usable = [
+                pair
+                for pair in pairs
+                if all(pair) and all(METHOD in one for tests in pair for one in tests)
+            ]
+            if usable:
+                of_draws = [verdict_counts(*pair, METHOD) for pair in usable]
+                counts.setdefault(source, {})[name] = mean_counts(of_draws)
+    return {source: by_set for source, by_set in counts.items() if by_set}
 
 
 def _figures(
@@ -336,18 +287,13 @@ def _figures(
     apart = [name for name, one in described.items() if one.split in _APART]
     types = {name: one.robot_type or name for name, one in described.items()}
     groups = {OTHER: apart} if apart == list(described) else {OTHER: apart, ALL: list(described)}
-    return {group: _of_group(names, counts, types) for group, names in groups.items() if names}
-
-
-def _of_group(
-    names: Sequence[str],
-    counts: "Mapping[str, Mapping[str, VerdictCounts]]",
-    types: Mapping[str, str],
-) -> dict[str, dict[str, Any]]:
-    """Figures of these sets by source."""
     return {
-        source: _of_robots({name: by_set[name] for name in names if name in by_set}, types)
-        for source, by_set in counts.items()
+        group: {
+            source: _of_robots({name: by_set[name] for name in names if name in by_set}, types)
+            for source, by_set in counts.items()
+        }
+        for group, names in groups.items()
+        if names
     }
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.apps.twins.agreement import Errors, Residual, torque_errors
+from sysid_bench.apps.twins.agreement import Errors, torque_errors
 from sysid_bench.apps.twins.commands.identify_twin import identify_robot, identify_twin
 from sysid_bench.apps.twins.commands.transfer import CEILING, NULL, TWIN, source_label
 from sysid_bench.apps.twins.recorded_robot import Posed, RecordedRobot, residual_of
@@ -83,8 +83,13 @@ class Sources:
                 tests = residual_of(posed, method)
             except EstimationError:
                 continue
-            parts = tests if len(tests) > 1 else _halves(tests[0])
-            by_method[method] = [torque_errors([part]) for part in parts]
+            if len(tests) == 1:
+                (one,), middle = tests, len(tests[0].e) // 2
+                tests = [
+                    replace(one, e=one.e[half], torque=one.torque[half], t=one.t[half])
+                    for half in (slice(None, middle), slice(middle, None))
+                ]
+            by_method[method] = [torque_errors([test]) for test in tests]
         count = min(map(len, by_method.values()), default=0)
         return [{m: tests[k] for m, tests in by_method.items()} for k in range(count)]
 
@@ -96,11 +101,3 @@ def _setting(source: str) -> str:
     written: Any = with_plant_file({"use": source}, None).get("simulation", "inverse")
     name = written["use"] if isinstance(written, Mapping) else written
     return f"with its simulation {name!r}: "
-
-
-def _halves(residual: Residual) -> list[Residual]:
-    middle = len(residual.e) // 2
-    return [
-        replace(residual, e=residual.e[part], torque=residual.torque[part], t=residual.t[part])
-        for part in (slice(None, middle), slice(middle, None))
-    ]

@@ -1,7 +1,7 @@
 """Verb `twin`: a plant file with effects fitted from recordings of a robot, and its replay."""
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import chain
@@ -71,7 +71,7 @@ class TwinCommand(Request[Result]):
         "Identified model: wls with its bodies completed (default), or lmi; of several sets both.",
         default=None, choices=TRUTHS,
     )  # fmt: skip
-    seed: int = option("", default=0, least=0, shown=True)
+    seed: int = option("Seed of the noise.", default=0, least=0, shown=True)
     jobs: int = jobs_option()
 
     def run(self) -> Result:
@@ -142,38 +142,29 @@ class TwinResult(Result):
         lines = [
             f"{self.model}: {kind}, truth {self.truth}; residual on left-out blocks of time "
             "without -> with effects (N m, N), and the share of its power that each removed",
-            *(_kept_line(name, joint) for name, joint in self.joints.items()),
         ]
+        for name, one in self.joints.items():
+            kept = ", ".join(f"{x['effect']} {100 * x['share']:.1f} %" for x in one["kept"])
+            lines.append(f"  {name:20} {one['before']:9.3g} -> {one['after']:<9.3g} {kept or '-'}")
         if self.level is not None:
-            lines += self._test_lines(kind)
+            from sysid_bench.apps.twins.recorded_robot import METHOD
+
+            lines += [
+                f"  tests, not fitted, residual of {METHOD}: {kind} over recorded, {self.draws} "
+                "draws of noise",
+                f"  {'joint':20} {'level':>6} {'memory':>7} {'of s':>6} {'spectrum dB':>12} "
+                f"{'explained':>10}",
+                *(
+                    f"  {name:20} {one['level']:6.2f} {one['memory']:7.2f} {one['seconds']:6.2g} "
+                    f"{one['spectrum']:12.1f} {100 * one['explained']:8.1f} %"
+                    for name, one in self.joints.items()
+                ),
+                f"  all joints: level {self.level:.2f} (error {self.twin_error:.3g} over "
+                f"{self.real_error:.3g}), explained {100 * (self.explained or 0.0):.1f} %",
+            ]
         if self.plant is not None:
             lines.append(f"  plant: {self.plant}; robot: {self.robot}")
         return "\n".join(lines)
-
-    def _test_lines(self, kind: str) -> list[str]:
-        from sysid_bench.apps.twins.recorded_robot import METHOD
-
-        return [
-            f"  tests, not fitted, residual of {METHOD}: {kind} over recorded, {self.draws} "
-            "draws of noise",
-            f"  {'joint':20} {'level':>6} {'memory':>7} {'of s':>6} {'spectrum dB':>12} "
-            f"{'explained':>10}",
-            *(_test_line(name, joint) for name, joint in self.joints.items()),
-            f"  all joints: level {self.level:.2f} (error {self.twin_error:.3g} over "
-            f"{self.real_error:.3g}), explained {100 * (self.explained or 0.0):.1f} %",
-        ]
-
-
-def _kept_line(name: str, joint: Mapping[str, Any]) -> str:
-    kept = [f"{one['effect']} {100 * one['share']:.1f} %" for one in joint["kept"]]
-    return f"  {name:20} {joint['before']:9.3g} -> {joint['after']:<9.3g} {', '.join(kept) or '-'}"
-
-
-def _test_line(name: str, joint: Mapping[str, Any]) -> str:
-    return (
-        f"  {name:20} {joint['level']:6.2f} {joint['memory']:7.2f} {joint['seconds']:6.2g} "
-        f"{joint['spectrum']:12.1f} {100 * joint['explained']:8.1f} %"
-    )
 
 
 def twin(
@@ -201,10 +192,12 @@ def twin(
     robot cannot be identified or has no prior for "wls".
     """
     from sysid_bench.apps.twins.commands.identify_twin import DRAWS, identify_twin
-    from sysid_bench.apps.twins.commands.recorded_set import RecordedChoice, recorded_set
+    from sysid_bench.apps.twins.recorded_robot import recorded_set
 
-    model, target = str(model), None if out is None else _checked_target(Path(out))
-    recorded = recorded_set(RecordedChoice(model, log, test, tuple(accept), robots_dir))
+    model, target = str(model), None if out is None else Path(out)
+    if target is not None and (target.suffix.lower() != ".toml" or not target.parent.is_dir()):
+        raise UsageError(f"{str(target)!r}: name a plant file *.toml in a folder that exists.")
+    recorded = recorded_set(model, log, test, tuple(accept), robots_dir)
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "twin.toml" if target is None else target
         found = identify_twin(recorded, truth, place, null=null)
@@ -236,14 +229,7 @@ def _draw(recorded: "RecordedRobot", found: "Twin", truth: str, place: Path, pic
         "twin": list(chain.from_iterable(replay_residual(recorded, found, 0))),
         "null twin": list(chain.from_iterable(replay_residual(recorded, null, 0))),
     }
-    spectra_figure(picture, residual_spectra(recorded.problems.problem.rows, sources))
-
-
-def _checked_target(out: Path) -> Path:
-    """The plant file; raises UsageError for another suffix and a folder that is not there."""
-    if out.suffix.lower() != ".toml" or not out.parent.is_dir():
-        raise UsageError(f"{str(out)!r}: name a plant file *.toml in a folder that exists.")
-    return out
+    spectra_figure.write(picture, residual_spectra(recorded.problems.problem.rows, sources))
 
 
 def _compared(recorded: "RecordedRobot", found: "Twin", seed: int) -> dict[str, Any]:
@@ -273,13 +259,12 @@ def _compared(recorded: "RecordedRobot", found: "Twin", seed: int) -> dict[str, 
 def _fit_fields(found: "Twin", name: str) -> dict[str, Any]:
     """Fields of a joint's fit."""
     fit = found.fits[name]
-    shapes = {"width": fit.effects.width, "delay": fit.effects.delay, "vs": fit.effects.vs}
     return {
-        "kept": [asdict(one) for one in fit.kept],
+        "kept": list(fit.kept),
         "before": fit.before,
         "after": fit.after,
         "values": fit.values,
-        "shapes": shapes,
+        "shapes": {x: getattr(fit.effects, x) for x in ("width", "delay", "vs")},
     }
 
 

@@ -13,10 +13,9 @@ from scipy.stats import binomtest
 
 from sysid_bench.apps.twins.agreement import Residual, residual_ratio, robot_median, torque_errors
 from sysid_bench.apps.twins.commands.identify_twin import identify_twin, replay_residual, twin_share
-from sysid_bench.apps.twins.commands.recorded_set import of_data_set
 from sysid_bench.apps.twins.commands.twin import TRUTHS
 from sysid_bench.apps.twins.fit_twin import Twin
-from sysid_bench.apps.twins.recorded_robot import RecordedRobot, residual_of
+from sysid_bench.apps.twins.recorded_robot import RecordedRobot, of_data_set, residual_of
 from sysid_bench.commands.result import Result
 from sysid_bench.commands.work_process import run_work
 from sysid_bench.errors import SysidBenchError
@@ -53,13 +52,13 @@ class TwinTableResult(Result):
     def summary(self) -> str:
         """Markdown table, and the number of robots and joints that are alike."""
         lines = [*_HEAD, *(_line(row) for row in self.rows), ""]
-        return "\n".join([*lines, *(self._count(truth) for truth in TRUTHS)])
-
-    def _count(self, truth: str) -> str:
-        rows = [row for row in self.rows if row["truth"] == truth and not row["reason"]]
-        parts = [_count_of_kind(kind, rows) for kind in ("twin", "null")]
-        lines = [f"truth {truth}. {'; '.join(parts)}."]
-        return "\n".join([*lines, _explained_text(rows)] if rows else lines)
+        for truth in TRUTHS:
+            rows = [row for row in self.rows if row["truth"] == truth and not row["reason"]]
+            parts = [_count_of_kind(kind, rows) for kind in ("twin", "null")]
+            lines.append(f"truth {truth}. {'; '.join(parts)}.")
+            if rows:
+                lines.append(_explained_text(rows))
+        return "\n".join(lines)
 
 
 def _line(row: Mapping[str, Any]) -> str:
@@ -84,12 +83,9 @@ def _explained_text(rows: Sequence[Mapping[str, Any]]) -> str:
     means = [float(np.mean(values)) for values in by_type.values()]
     wins = sum(mean > 0 for mean in means)
     p = binomtest(wins, len(means)).pvalue
-    found = robot_median(means)
-    limits = (
-        ""
-        if found.low is None or found.high is None
-        else f" [{100 * found.low:.1f}, {100 * found.high:.1f}]"
-    )
+    found, limits = robot_median(means), ""
+    if found.low is not None and found.high is not None:
+        limits = f" [{100 * found.low:.1f}, {100 * found.high:.1f}]"
     return (
         f"Explained: twin above null on {wins} of {len(means)} types of robot (sign test, p = "
         f"{p:.2g}), by {100 * (found.value or 0.0):.1f}{limits} % of the power (median)."
@@ -121,7 +117,8 @@ def twin_table(
     """
     sets = tuple(dict.fromkeys(sets))
     robots = {name: of_data_set(name) for name in sets}
-    types = {name: _type(name) for name in sets}
+    described = {name: find_dataset(name).described for name in sets}
+    types = {name: one.robot_type or one.name for name, one in described.items()}
     work = {name: partial(_rows, name, robots[name], tuple(truth), seed) for name in sets}
     rows: dict[str, list[dict[str, Any]]] = {}
     for name, found in run_work(work, jobs):
@@ -131,30 +128,24 @@ def twin_table(
     return TwinTableResult(list(chain.from_iterable(rows[name] for name in sets)))
 
 
-def _type(name: str) -> str:
-    described = find_dataset(name).described
-    return described.robot_type or described.name
-
-
 def _rows(
     name: str, recorded: RecordedRobot, truths: Sequence[str], seed: int
 ) -> list[dict[str, Any]]:
-    return [_row(name, recorded, truth, seed) for truth in truths]
-
-
-def _row(name: str, recorded: RecordedRobot, truth: str, seed: int) -> dict[str, Any]:
-    row: dict[str, Any] = {"set": name, "truth": truth, "reason": ""}
-    try:
-        real = residual_of(recorded.problems)
-        row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
-        with tempfile.TemporaryDirectory() as folder:
-            for kind in ("twin", "null"):
-                place = Path(folder) / f"{kind}.toml"
-                found = identify_twin(recorded, truth, place, null=kind == "null")
-                row[kind] = _figures(recorded, found, real, seed)
-    except SysidBenchError as error:
-        row["reason"] = str(error).partition(". ")[0]
-    return row
+    rows = []
+    for truth in truths:
+        row: dict[str, Any] = {"set": name, "truth": truth, "reason": ""}
+        rows.append(row)
+        try:
+            real = residual_of(recorded.problems)
+            row |= {"joints": real[0].e.shape[1], "error": torque_errors(real)}
+            with tempfile.TemporaryDirectory() as folder:
+                for kind in ("twin", "null"):
+                    place = Path(folder) / f"{kind}.toml"
+                    found = identify_twin(recorded, truth, place, null=kind == "null")
+                    row[kind] = _figures(recorded, found, real, seed)
+        except SysidBenchError as error:
+            row["reason"] = str(error).partition(". ")[0]
+    return rows
 
 
 def _figures(
