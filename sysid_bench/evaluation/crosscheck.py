@@ -92,13 +92,13 @@ def check_coupling(robot: RobotModel, samples: int) -> CouplingCheck:
     motion = random_states(robot, samples, np.random.default_rng(_COUPLING_SEED))
     Y = torque_regression(robot, robot.inertial_columns).dense(motion).Y
     reference = reduced_regressor(robot, motion, pinocchio_regressor(robot, motion)).Y
-    constrained = independent_torque(robot, motion)
+    tau, violation = independent_torque(robot, motion)
     armature = coupling.reduced(motion.q, robot.joint_terms.armature * motion.a)
     return CouplingCheck(
         gap=relative_error(Y - reference, reference),
-        closure=relative_error(Y @ robot.phi.ravel() + armature - constrained.tau, constrained.tau),
+        closure=relative_error(Y @ robot.phi.ravel() + armature - tau, tau),
         jacobian=_against_differences(coupling, motion),
-        violation=constrained.violation,
+        violation=violation,
         inconsistency=coupling.closure_error(motion.q),
     )
 
@@ -169,7 +169,9 @@ class Crosscheck:
 
     def reason(self, tolerance: float = GAP) -> str:
         """Return the errors above tolerance as text; empty if there are none."""
-        tree, coupled = self._tree_reason(tolerance), self._coupling_reason()
+        tree, coupled = self._tree_reason(tolerance), ""
+        if self.coupling is not None and (coupled := _above(self.coupling.figures)):
+            coupled += f"; {self.coupling.note}" if self.coupling.note else ""
         if coupled and not tree:
             coupled = (
                 f"the engines agree on the tree, but not its closed chains or couplings: {coupled}"
@@ -186,12 +188,6 @@ class Crosscheck:
         if self.native_gap is not None:
             figures.append(("native gap", self.native_gap, tolerance))
         return _above(figures)
-
-    def _coupling_reason(self) -> str:
-        if self.coupling is None:
-            return ""
-        above, note = _above(self.coupling.figures), self.coupling.note
-        return f"{above}; {note}" if above and note else above
 
 
 def _above(figures: Sequence[tuple[str, float, float]]) -> str:

@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from sysid_bench.evaluation.intervals import with_level
 from sysid_bench.metrics import METRICS, metric_of
 from sysid_bench.reporting.selection import label
 from sysid_bench.reporting.signal_figures import StoredTorque
@@ -296,7 +297,7 @@ def cells_to_json(
             for name, texts in zip(words, dictionary, strict=True)
         ],
         "scores": [metric.name for metric in shown],
-        "titles": [metric.heading for metric in shown],
+        "titles": [with_level(metric.heading) for metric in shown],
         "values": [
             [_four_digits(metric.scale, value) for value in cells[metric.name]] for metric in shown
         ],

@@ -172,18 +172,6 @@ def _write_text(file: Path) -> None:
     np.savetxt(file, _matrix(), delimiter=",", header=",".join(_NAMES), comments="")
 
 
-def _write_npz(file: Path) -> None:
-    np.savez(file, **_signals())
-
-
-def _write_npy(file: Path) -> None:
-    np.save(file, _matrix())
-
-
-def _write_mat(file: Path) -> None:
-    savemat(file, _signals())
-
-
 def _write_parquet(file: Path) -> None:
     parquet.write_table(table(dict(zip(_NAMES, _matrix().T, strict=True))), file)
 
@@ -260,9 +248,9 @@ def _write_lerobot(folder: Path) -> None:
 WRITERS: Final[Mapping[str, Callable[[Path], None]]] = {
     ".csv": _write_text,
     ".txt": _write_text,
-    ".npz": _write_npz,
-    ".npy": _write_npy,
-    ".mat": _write_mat,
+    ".npz": lambda file: np.savez(file, **_signals()),
+    ".npy": lambda file: np.save(file, _matrix()),
+    ".mat": lambda file: savemat(file, _signals()),
     ".parquet": _write_parquet,
     ".h5": _write_hdf5,
     ".hdf5": _write_hdf5,

@@ -185,7 +185,10 @@ def verdict_counts(
     Logarithms of errors are averaged over the tests; methods that failed in one are left out.
     """
     methods = sorted(set.intersection(*map(set, (*simulated, *real))))
-    own, other = ({m: _mean_log(tests, m) for m in methods} for tests in (simulated, real))
+    own, other = (
+        {m: float(np.mean([np.log(one[m]) for one in tests])) for m in methods}
+        for tests in (simulated, real)
+    )
     pairs = []
     for a, b in combinations(methods, 2):
         each = [np.log(one[a] / one[b]) for one in real]
@@ -214,10 +217,6 @@ def verdict_counts(
         level=float(np.exp(own[reference] - other[reference])),
         tau=tau,
     )
-
-
-def _mean_log(tests: Sequence[Errors], method: str) -> float:
-    return float(np.mean([np.log(one[method]) for one in tests]))
 
 
 def mean_counts(counts: Sequence[VerdictCounts]) -> VerdictCounts:

@@ -8,7 +8,7 @@ With tau(q, v, a, beta) = M a + bias, the acceleration has the derivatives -M^-1
 1976). A finite difference by each of r parameters would take r runs instead."""
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -132,13 +132,8 @@ def unit_acceleration(q: Array, v: Array) -> Trajectory:
     Inverse dynamics is the bias at zero acceleration; unit accelerations add the columns of M.
     """
     S, n = q.shape
-    unit = np.tile(_zero_and_unit(n), (S, 1))
+    unit = np.tile(np.eye(n + 1, n, -1), (S, 1))
     return Trajectory(np.zeros(len(unit)), q.repeat(n + 1, axis=0), v.repeat(n + 1, axis=0), unit)
-
-
-@cache
-def _zero_and_unit(n: int) -> Array:
-    return np.eye(n + 1, n, -1)
 
 
 def acceleration_of(

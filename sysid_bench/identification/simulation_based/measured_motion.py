@@ -90,7 +90,8 @@ def measured_motion(experiment: Experiment) -> MeasuredMotion:
         nothing = np.zeros(0, dtype=int), np.zeros((len(q), n, 0)), np.zeros((len(q), n), bool)
         return MeasuredMotion(q, tau, motion, raw.rate, *nothing, jumps=columns)
     step = max(1, round(raw.rate / RATE))
-    motion = _sampled(motion, step)
+    kept = slice(None, None, step)
+    motion = Trajectory(motion.t[kept], motion.q[kept], motion.v[kept], motion.a[kept], motion.name)
     return MeasuredMotion(
         q=q[::step],
         tau=mean_torque(tau, step),
@@ -101,12 +102,6 @@ def measured_motion(experiment: Experiment) -> MeasuredMotion:
         standing=~experiment.moving[::step],
         jumps=columns,
     )
-
-
-def _sampled(motion: Trajectory, step: int) -> Trajectory:
-    """Return every `step`-th sample of a motion."""
-    q, v, a = motion.q[::step], motion.v[::step], motion.a[::step]
-    return Trajectory(motion.t[::step], q, v, a, motion.name)
 
 
 def mean_torque(tau: Array, step: int) -> Array:

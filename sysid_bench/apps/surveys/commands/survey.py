@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -186,7 +187,7 @@ def survey(
     folder = Path(out)
     known = None if asked.baseline is None else read_baseline(asked.baseline)
     place = source_folder(str(source))
-    jobs = _jobs(_find_model_files(place), place, asked)
+    jobs = _jobs(place, asked)
     open_jobs = _open_jobs(jobs, folder)
     cells = [cell["id"] for job in open_jobs for cell in job.cells]
     on_event("plan", {"seconds": dict.fromkeys(cells, 1.0), "open": len(cells)})
@@ -215,29 +216,20 @@ def _records(jobs: "Sequence[Job]", folder: Path) -> "tuple[SurveyRecord, ...]":
     )
 
 
-def _find_model_files(folder: Path) -> dict[str, Path]:
-    """Distinct models below a folder by name: their path in it."""
-    from sysid_bench.models.sources import hash_of_files, model_files
-
-    files = hash_of_files(model_files(folder, scenes=True))
-    if not files:
-        raise UsageError(f"{folder} holds no URDF or MJCF model; give a folder of models.")
-    return {file.relative_to(folder).as_posix(): file for file in files}
-
-
-def _jobs(models: Mapping[str, Path], place: Path, asked: SurveyRequest) -> "list[Job]":
-    """Jobs of models, which may read any file below `place`."""
+def _jobs(place: Path, asked: SurveyRequest) -> "list[Job]":
+    """Jobs of the distinct models below a folder, which may read any file in it."""
     from sysid_bench.apps.surveys.commands.survey_model import CALL, ENGINES
     from sysid_bench.harness.work.worker_process import Job
-    from sysid_bench.models.sources import hash_of_files
+    from sysid_bench.models.sources import hash_of_files, model_files
     from sysid_bench.version_fields import package_hash
 
-    assets = str(place.resolve())
-    chosen = list(models.items())[: asked.limit]
-    digests = hash_of_files([file for _, file in chosen])
-    jobs = []
-    for name, file in chosen:
-        more = {"code": package_hash(), "model": digests[file], "samples": asked.samples}
+    digests = hash_of_files(model_files(place, scenes=True))
+    if not digests:
+        raise UsageError(f"{place} holds no URDF or MJCF model; give a folder of models.")
+    assets, jobs = str(place.resolve()), []
+    for file, digest in islice(digests.items(), asked.limit):
+        name = file.relative_to(place).as_posix()
+        more = {"code": package_hash(), "model": digest, "samples": asked.samples}
         argument = {"id": name, "file": str(file.resolve()), "assets": assets, "more": more}
         names = (name, ENGINES + name) if asked.engines else (name,)
         cells = tuple({"id": cell, **more} for cell in names)
@@ -280,14 +272,17 @@ def _result(
         loadable=len(loadable),
         loadable_ok=sum(model.ok for model in loadable),
         causes=dict(counts_by_cause(found)),
-        refused=list(map(_refusal, refused)),
+        refused=[
+            {
+                "model": model.name,
+                "cause": model.cause,
+                "reason": model.row["reason"],
+                "loadable": model.is_loaded,
+            }
+            for model in refused
+        ],
         seconds_cpu=sum(model.row.get("seconds_cpu") or 0.0 for model in found),
         ending=ending,
         changes=[asdict(change) for change in changes],
         surveyed=found,
     )
-
-
-def _refusal(model: "SurveyRecord") -> dict[str, Any]:
-    kept = {"cause": model.cause, "reason": model.row["reason"], "loadable": model.is_loaded}
-    return {"model": model.name, **kept}

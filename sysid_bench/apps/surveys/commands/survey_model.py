@@ -8,7 +8,7 @@ from typing import Any, Final
 import mujoco
 import pinocchio
 
-from sysid_bench.commands.crosscheck import CrosscheckResult, crosscheck
+from sysid_bench.commands.crosscheck import crosscheck
 from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.models.model_checks import recorded_warnings
 from sysid_bench.types import Row
@@ -29,7 +29,7 @@ def survey_model(argument: Mapping[str, Any], channel: JobChannel) -> None:
     name, file, more = argument["id"], Path(argument["file"]), argument["more"]
     measures: dict[str, Callable[[], Row]] = {
         name: lambda: _answer(file, more["samples"], Path(argument["assets"])),
-        ENGINES + name: lambda: _engines(file),
+        ENGINES + name: lambda: {reader: _degrees_of_freedom(reader, file) for reader in _READERS},
     }
     for cell, measure in measures.items():
         if cell in channel.cells:
@@ -45,38 +45,28 @@ def survey_model(argument: Mapping[str, Any], channel: JobChannel) -> None:
 
 def _answer(file: Path, samples: int, assets: Path) -> Row:
     (result,) = crosscheck(f"file:{file}", samples=samples, assets=assets)
-    row = {key: result[key] for key in _KEPT}
-    return {"status": "ok" if result.ok else "failed", **row, **_coupling(result)}
+    row: Row = {"status": "ok" if result.ok else "failed", **{key: result[key] for key in _KEPT}}
+    if result.coupling is not None:
+        row["coupling"] = {key: result.coupling[key] for key in ("gap", "closure", "note")}
+    return row
 
 
-def _coupling(result: CrosscheckResult) -> Row:
-    if result.coupling is None:
-        return {}
-    kept = ("gap", "closure", "note")
-    return {"coupling": {key: result.coupling[key] for key in kept}}
-
-
-def _engines(file: Path) -> Row:
-    """Degrees of freedom that each engine reads, or its error."""
-    return {"mujoco": _of_engine(_in_mujoco, file), "pinocchio": _of_engine(_in_pinocchio, file)}
-
-
-def _of_engine(read: Callable[[Path], int], file: Path) -> int | str:
+def _degrees_of_freedom(engine: str, file: Path) -> int | str:
+    """What an engine reads of the file, or its error."""
     try:
-        return read(file)
+        with recorded_warnings():
+            return int(_READERS[engine](file).nv)
     except Exception as error:
         return " ".join(str(error).split())[:300] or type(error).__name__
 
 
-def _in_mujoco(file: Path) -> int:
-    with recorded_warnings():
-        return int(mujoco.MjModel.from_xml_path(str(file)).nv)
+def _in_pinocchio(file: Path) -> pinocchio.Model:
+    if b"<robot" in file.read_bytes():
+        return pinocchio.buildModelFromUrdf(str(file))
+    return pinocchio.buildModelFromMJCF(str(file))
 
 
-def _in_pinocchio(file: Path) -> int:
-    build = pinocchio.buildModelFromUrdf if _is_urdf(file) else pinocchio.buildModelFromMJCF
-    return int(build(str(file)).nv)
-
-
-def _is_urdf(file: Path) -> bool:
-    return b"<robot" in file.read_bytes()
+_READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
+    "mujoco": lambda file: mujoco.MjModel.from_xml_path(str(file)),
+    "pinocchio": _in_pinocchio,
+}

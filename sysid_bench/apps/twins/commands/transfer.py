@@ -44,18 +44,14 @@ def source_label(source: str, truth: str) -> str:
     return f"{source}, {truth}"
 
 
-def _names_or(default: tuple[str, ...]) -> Callable[[str], tuple[str, ...]]:
-    return lambda text: parse_names(text) or default
-
-
 class TransferRequest(Request["TransferResult"]):
     """Compare methods on recorded robots and on replays: what does simulation predict?"""
 
     sets: Sequence[str] = argument("SET...", several=True, complete="datasets folders")
     truth: Sequence[str] = option(
         "Identified models that move; default: both.",
-        default=TRUTHS, metavar="wls,lmi", parse=_names_or(TRUTHS), complete="truths",
-        separated=True,
+        default=TRUTHS, metavar="wls,lmi", parse=lambda text: parse_names(text) or TRUTHS,
+        complete="truths", separated=True,
     )  # fmt: skip
     methods: Sequence[str] = METHODS
     levels: Sequence[str] = LEVELS
