@@ -141,7 +141,17 @@ class Coupling:
             start = None if near is None else coordinates.read(near)
             x, good = group.motion_closure(given, start)
             if not good.all():
-                raise self._lost_closure(group, given[int(np.argmin(good))])
+                lost = given[int(np.argmin(good))]
+                least = float(group.condition(group.follow_closure(lost[None])[0])[0])
+                moving = group.dofs[group.independent]
+                pairs = zip(moving, lost + self.q0[moving], strict=True)
+                posture = ", ".join(f"{self.names[dof]} = {value:.4g}" for dof, value in pairs)
+                raise ModelError(
+                    f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is "
+                    f"singular, at {posture} (smallest singular value {least:.2g} on the way "
+                    "there); keep the motion nearer to the reference posture, by limits in the "
+                    "manifest."
+                )
             coordinates.write(x, q)
             F = group.follow(x)
             dx[:, following] = times(F, dx[:, group.independent])
@@ -183,19 +193,6 @@ class Coupling:
 
     def _coordinates(self, group: Group) -> Coordinates:
         return self.coordinates.of(group.dofs)
-
-    def _lost_closure(self, group: Group, given: Array) -> ModelError:
-        x, _ = group.follow_closure(given[None])
-        least = float(group.condition(x)[0])
-        moving = group.dofs[group.independent]
-        pairs = zip(moving, given + self.q0[moving], strict=True)
-        posture = ", ".join(f"{self.names[dof]} = {value:.4g}" for dof, value in pairs)
-        return ModelError(
-            f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is singular, "
-            f"at {posture} (smallest singular value {least:.2g} on "
-            "the way there); keep the motion nearer to the reference posture, by limits in the "
-            "manifest."
-        )
 
 
 def names_of(names: tuple[str, ...], dofs: Array) -> str:

@@ -49,7 +49,15 @@ def equalities_of(mj: mujoco.MjModel) -> Equalities:
     for e in range(mj.neq):
         if not mj.eq_active0[e]:
             continue
-        reason = _reason_without_coupling(mj, e)
+        kind, reason = int(mj.eq_type[e]), ""
+        if kind in (_CONNECT, _WELD):
+            bodies = one, other = [body for body, _, _ in closure_frames(mj, e)]
+            if (mj.body_mocapid[bodies] >= 0).any():
+                reason = "a mocap body is moved by hand"
+            elif not _joints_on(mj, _path(mj, one, other) + _path(mj, other, one)):
+                reason = "its bodies move together already"
+        elif kind not in (_JOINT, _TENDON):
+            reason = "it couples no joints"
         if reason:
             left_out.append(f"equality {_name(mj, e)} left out: {reason}")
             continue
@@ -62,21 +70,6 @@ def select_equalities(spec: mujoco.MjSpec, equalities: Equalities) -> None:
     """Delete all equalities of a spec that are not constraints of the robot's coupling."""
     for equality in [e for e in spec.equalities if e.id not in equalities.ids]:
         spec.delete(equality)
-
-
-def _reason_without_coupling(mj: mujoco.MjModel, e: int) -> str:
-    """The reason why an equality couples no joints; empty where it couples some."""
-    kind = int(mj.eq_type[e])
-    if kind in (_JOINT, _TENDON):
-        return ""
-    if kind in (_CONNECT, _WELD):
-        bodies = one, other = [body for body, _, _ in closure_frames(mj, e)]
-        if (mj.body_mocapid[bodies] >= 0).any():
-            return "a mocap body is moved by hand"
-        if not _joints_on(mj, _path(mj, one, other) + _path(mj, other, one)):
-            return "its bodies move together already"
-        return ""
-    return "it couples no joints"
 
 
 def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
@@ -110,13 +103,13 @@ def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
 def coupled_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
     """Return the two sums {dof: coefficient} that a joint or tendon equality relates; the second
     may be empty."""
-    sum_of = _joint_sum if int(mj.eq_type[e]) == _JOINT else _tendon_sum
-    other = int(mj.eq_obj2id[e])
-    return sum_of(mj, int(mj.eq_obj1id[e])), sum_of(mj, other) if other >= 0 else {}
-
-
-def _joint_sum(mj: mujoco.MjModel, j: int) -> dict[int, float]:
-    return {int(mj.jnt_dofadr[j]): 1.0}
+    sums: list[dict[int, float]] = []
+    for end in (int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])):
+        if int(mj.eq_type[e]) == _JOINT:
+            sums.append({int(mj.jnt_dofadr[end]): 1.0} if end >= 0 else {})
+        else:
+            sums.append(_tendon_sum(mj, end) if end >= 0 else {})
+    return sums[0], sums[1]
 
 
 def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:

@@ -159,7 +159,14 @@ class Group:
         moves = np.abs(np.diff(independent, axis=0) / self.units[self.independent])
         fastest = float(moves.max(initial=0.0))
         stride = max(1, min(64, int(STEP / fastest))) if fastest > 0 else max(1, len(independent))
-        start, regular = self._patient_closure(independent[::stride])
+        start, share = self.follow_closure(independent[::stride])
+        for steps in FINER_STEPS:
+            # Shorter steps where the usual ones lose a fast dependent joint.
+            lost = share < 1.0
+            if lost.any():
+                aims = independent[::stride][lost]
+                start[lost], share[lost] = self.follow_closure(aims, least=steps)
+        regular = share == 1.0
         x = np.repeat(start, stride, axis=0)[: len(independent)]
         regular = np.repeat(regular, stride)[: len(independent)]
         if stride > 1:
@@ -170,17 +177,6 @@ class Group:
             x, J, found = self._newton(x, ITERATIONS)
             regular = regular & found & self._same_branch(before, J)
         return x, regular
-
-    def _patient_closure(self, targets: Array) -> tuple[Array, Array]:
-        """Closed postures (N, k) at targets (N, k - r) and True (N,) where they were reached from
-        the reference, in shorter steps where the usual ones lose a fast dependent joint."""
-        x, share = self.follow_closure(targets)
-        for steps in FINER_STEPS:
-            lost = share < 1.0
-            if not lost.any():
-                break
-            x[lost], share[lost] = self.follow_closure(targets[lost], least=steps)
-        return x, share == 1.0
 
     def follow_closure(
         self,
