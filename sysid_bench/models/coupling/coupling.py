@@ -91,23 +91,20 @@ class Coupling:
         """Return F (N, m, n) with v_dep = F v_ind at closed q (N, nq)."""
         out = np.zeros((len(q), len(self.dependent), len(self.independent)))
         for group, rows, columns in self._columns:
-            out[:, rows[:, None], columns] = self._followed(group, self._coordinates(group).read(q))
+            coordinates = self._coordinates(group)
+            x = coordinates.read(q)
+            F = group.follow(x)
+            if coordinates.rotations:
+                # Velocities of a rotation are no derivatives of its coordinates: v_dep = V_dep u
+                # and v_ind = V_ind u, so that F = V_dep V_ind^-1.
+                L = np.zeros((len(x), len(group.dofs), len(group.independent)))
+                L[:, group.independent, np.arange(len(group.independent))] = 1.0
+                L[:, group.dependent] = F
+                V = coordinates.rate_columns(x, L).swapaxes(1, 2)
+                solved = np.linalg.solve(V[:, :, group.independent], V[:, :, group.dependent])
+                F = solved.swapaxes(1, 2)
+            out[:, rows[:, None], columns] = F
         return out
-
-    def _followed(self, group: Group, x: Array) -> Array:
-        """F of one group, of velocities: those of a rotation are no derivatives of its
-        coordinates."""
-        F, coordinates = group.follow(x), self._coordinates(group)
-        if not coordinates.rotations:
-            return F
-        L = np.zeros((len(x), len(group.dofs), len(group.independent)))
-        L[:, group.independent, np.arange(len(group.independent))] = 1.0
-        L[:, group.dependent] = F
-        V = coordinates.rate_columns(x, L)
-        # v_dep = V_dep u and v_ind = V_ind u: F = V_dep V_ind^-1.
-        moving = V[:, group.independent].swapaxes(1, 2)
-        solved = np.linalg.solve(moving, V[:, group.dependent].swapaxes(1, 2))
-        return np.asarray(solved.swapaxes(1, 2))
 
     def G(self, q: Array) -> Array:
         """Return G (N, nv, n) with v = G v_ind at closed q (N, nq)."""

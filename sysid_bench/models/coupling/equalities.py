@@ -171,28 +171,21 @@ def _joints_on(mj: mujoco.MjModel, path: list[int]) -> list[int]:
 def _steps(mj: mujoco.MjModel, path: list[int], dofs: tuple[int, ...]) -> Iterator[Step]:
     for b in path:
         R = _matrix(mj.body_quat[b])
-        joints = tuple(
-            ChainJoint(dofs.index(dof), slide, axis, anchor)
-            for j in _joints_on(mj, [b])
-            for dof, (slide, axis, anchor) in zip(
-                _dofs_of(mj, j), _scalar_joints(mj, j, R), strict=True
-            )
-        )
-        yield Step(np.array(mj.body_pos[b]), R, joints)
-
-
-def _scalar_joints(mj: mujoco.MjModel, j: int, R: Array) -> list[tuple[bool, Array, Array]]:
-    """(slide, axis, anchor) of the hinges and slides that move a body as joint j does, in the order
-    of `coordinates`; R (3, 3) is the body's rotation in its parent, before them."""
-    kind, anchor, axes = int(mj.jnt_type[j]), np.array(mj.jnt_pos[j]), np.eye(3)
-    turns = [(False, axis, anchor) for axis in axes]
-    if kind == BALL:
-        return turns
-    if kind == FREE:
-        # Displacements in world axes, given in the body; a free joint turns about its origin.
-        at = np.zeros(3)
-        return [(True, R.T @ axis, at) for axis in axes] + [(False, axis, at) for axis in axes]
-    return [(kind == SLIDE, np.array(mj.jnt_axis[j]), anchor)]
+        joints: list[ChainJoint] = []
+        for j in _joints_on(mj, [b]):
+            # The hinges and slides that move a body as the joint does, in the order of
+            # `coordinates`: (slide, axis).
+            kind, anchor = int(mj.jnt_type[j]), np.array(mj.jnt_pos[j])
+            parts = [(kind == SLIDE, np.array(mj.jnt_axis[j]))]
+            if kind in (BALL, FREE):
+                parts = [(False, axis) for axis in np.eye(3)]
+            if kind == FREE:
+                # Displacements in world axes, given in the body; it turns about its origin.
+                anchor = np.zeros(3)
+                parts = [*((True, R.T @ axis) for axis in np.eye(3)), *parts]
+            for dof, (slide, axis) in zip(_dofs_of(mj, j), parts, strict=True):
+                joints.append(ChainJoint(dofs.index(dof), slide, axis, anchor))
+        yield Step(np.array(mj.body_pos[b]), R, tuple(joints))
 
 
 def _name(mj: mujoco.MjModel, e: int) -> str:
