@@ -177,6 +177,7 @@ def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell
     known: dict[str, str] = {}
 
     def fingerprint(cell: Cell) -> str:
+        # Cells differ by seed, noise and repeat, and share their code and models.
         key = cell.code_key
         if key not in known:
             known[key] = cell_fingerprint(cell, robots_dir, suite.folder, metrics)
@@ -189,6 +190,7 @@ def other_code(folder: RunFolder, counts: RowCounts) -> int:
     """Return the number of rows of a run that are from other code, models or libraries than now."""
     fingerprint = current_fingerprint(folder.suite, folder.suite.robots_folder)
     cells = folder.cells_at({kind.cell for kind in counts.rows})
+    # One cell for each kind of row: a status over a million rows stays quick.
     now = {place: fingerprint(cell) for place, cell in cells.items()}
     others = 0
     for kind, count in counts.rows.items():

@@ -146,6 +146,7 @@ class RunFolder:
         (self.path / "cells").mkdir(parents=True, exist_ok=True)
         (self.path / "logs").mkdir(exist_ok=True)
         self.write("run.toml", suite_text(suite))
+        # That of a run that goes on is the environment of its rows until it computes again.
         if not (self.path / "env.json").is_file():
             self.write_environment(env)
         self._write_parts(PLAN, plan)  # last: from now on it is a run
@@ -414,6 +415,7 @@ def frames_of_run(
         next_look = time.monotonic() + _LOOK_SECONDS
         is_busy = process is not None and process.poll() is None
         if not is_busy and (size := folder.row_bytes) > due:
+            # Growth by a factor keeps the work of all consolidations in proportion to the rows.
             due = int(_GROWTH * size) + FEW_BYTES
             process = subprocess.Popen(
                 [sys.executable, "-m", __name__, str(folder.path), str(os.getpid())],

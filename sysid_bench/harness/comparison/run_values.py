@@ -162,6 +162,7 @@ def label_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     settings = len({cell["robot"] for cell in cells})
     for axis in _AXES:
         more = len(set(map(itemgetter("robot", *kept, axis), cells)))
+        # An axis that splits no group says nothing that the ones before it do not.
         if more > settings:
             kept, settings = (*kept, axis), more
     return kept

@@ -60,6 +60,7 @@ def parse_suite(
     if overrides:
         data = set_values(data, overrides)
     if folder is not None and "origin" not in data:
+        # A frozen suite has its own: it must not move with the run folder.
         data["origin"] = {"folder": str(folder)}
     if confidence_level() != LEVEL:  # stated on the command line
         data["confidence"] = confidence_level()
