@@ -102,6 +102,7 @@ class Cells(Request["CellsResult"]):
             texts = repeat_difference(run, ids, self.repeats)
             repeated = (cell for cell in found if cell["id"] in texts)
             found = [{**cell, _LAST_BITS: texts[cell["id"]]} for cell in repeated]
+            # Stable: cells with another answer first, each part in the order asked for.
             found.sort(key=lambda cell: cell[_LAST_BITS] == SAME)
             wanted.append(_LAST_BITS)
         columns = _columns(found, ["torque_error", *wanted])
@@ -240,6 +241,7 @@ def repeat_difference(run: "RunFolder", ids: Sequence[str], repeats: int) -> dic
         if cell.id in wanted:
             groups.setdefault(cell.experiment, []).append(cell)
     limits = run.suite.run
+    # The time of a cell holds for each repeat, and for the data as they are.
     timeout, memory = quantity(limits.timeout, "s") * (repeats + 1), quantity(limits.memory, "B")
     target = "sysid_bench.experiments.cell_data:repeat_cells"
     for group in groups.values():

@@ -144,6 +144,7 @@ def _manifest(source: str | Path, request: Crosscheck) -> "Manifest | Exception"
 
     try:
         manifest = find_manifest(str(source), request.robots_dir)
+    # A name that is not known is a mistake of the command; a file that fails is a verdict.
     except UsageError:
         raise
     except Exception as error:

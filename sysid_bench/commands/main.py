@@ -47,6 +47,7 @@ class Verbs(click.Group):
             return Verbs(cmd_name, prefix=f"{name} ", help=verb.sentence)
         module, _, attribute = verb.target.partition(":")
         try:
+            # Here, and not at the start: all verbs together import for seconds.
             made = getattr(import_module(module), attribute)
         except (ImportError, AttributeError) as error:
             raise click.UsageError(f"The verb {name!r} cannot be imported: {error}.") from error

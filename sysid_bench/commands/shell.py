@@ -144,6 +144,7 @@ def _execute(request: type[Request[Any]], specs: Mapping[str, Option], **values:
     given = {
         key: _value(specs[key], value)
         for key, value in values.items()
+        # Only what was typed: the defaults of the request hold, whatever help prints as one.
         if context.get_parameter_source(key) is not ParameterSource.DEFAULT
     }
     asked = request(**given)
@@ -243,6 +244,7 @@ def _exit_code(command: Callable[[], int], context: click.Context) -> int:
         click.echo(_INTERRUPTION, err=True)
         code = INTERRUPTED
     except BrokenPipeError:  # the reader of our output has closed it, as `head` does
+        # Python would complain of the closed pipe once more when it flushes at its end.
         sys.stderr.close()
         code = OK
     except (SysidBenchError, OSError) as error:

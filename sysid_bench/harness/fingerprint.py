@@ -62,6 +62,7 @@ def cell_fingerprint(
     used += [("pipeline", spec.pipeline)] if spec.pipeline is not None else []
     used += [("metric", metric) for metric in metrics]
     if spec.log is not None:
+        # Here, for recordings alone: planning asks for fingerprints and imports nothing heavy.
         from sysid_bench.experiments.recorded.prepare import log_files
 
         read = log_files(spec.log, folder or Path())
@@ -155,6 +156,7 @@ def _plugin(name: str) -> str:
     if spec is None:
         return _ABSENT
     if spec.submodule_search_locations:
+        # The whole package: an edit of a helper module that the plug-in imports counts as well.
         return canonical_hash(list(map(source_hash, spec.submodule_search_locations)))
     return _file(spec.origin) if spec.origin else _ABSENT
 

@@ -291,6 +291,7 @@ def _table(parts: Iterable[_Columns], schema: "pyarrow.Schema") -> "pyarrow.Tabl
             values = [None if v is None else float(v) for v in values]
         elif kind == "string" and not types <= {str, NoneType}:
             values = [v if v is None or isinstance(v, str) else json.dumps(v) for v in values]
+        # from_pandas: NaN is absent, as None is.
         arrays.append(pyarrow.array(values, kind, from_pandas=True))
     return pyarrow.Table.from_arrays(arrays, schema=schema)
 
@@ -323,6 +324,7 @@ def _pandas_frame(table: "pyarrow.Table") -> "pd.DataFrame":
             codes = [chunk.indices.fill_null(len(texts) - 1).to_numpy() for chunk in chunks]
             words = np.array(texts, dtype=object)
             values = words[np.concatenate(codes)] if codes else np.array([], dtype=object)
+        # With its type, since pandas 3 makes texts a type of its own, whose absent value is NaN.
         made[name] = pd.Series(values, dtype=values.dtype)
     return pd.DataFrame(made, index=pd.RangeIndex(table.num_rows))
 
@@ -454,6 +456,7 @@ class CoveragePart:
         """True where the file still begins with the covered part."""
         try:
             state = path.stat()
+            # Nothing was appended or changed: the hash, which reads it all, is not needed.
             if (state.st_size, state.st_mtime_ns) == (self.bytes, self.mtime):
                 return True
             return state.st_size >= self.bytes and _start_hash(path, self.bytes) == self.sha256
@@ -599,6 +602,7 @@ def _consolidate(
         text.write_text(coverage.to_json(), encoding="utf-8")
         for name, part in parts.items():
             part.replace(target / f"{name}.parquet")
+        # Last. Between the two, readers find footers that are not those stated, and read the rows.
         text.replace(target / COVERAGE_FILE)
     return coverage
 
@@ -635,6 +639,7 @@ class _Scan:
         what is covered of each."""
         start, covered = self._earlier.start if self._earlier else {}, {}
         for path in paths:
+            # The time before it is read: a change while it is read is seen the next time.
             changed, (count, end) = path.stat().st_mtime_ns, start.get(path.name, (0, 0))
             for line in lines(path, count, end):
                 row = parse_row(line.text, hashed=self._planned.hashed)
@@ -657,8 +662,10 @@ class _Scan:
             counted = RowKind.of(row, self._planned.places[cell])
             self._counted[cell] = self._row_kinds.setdefault(counted, counted)
             parts = _parts_of(row | self._planned.fields[cell])
+            # The types of all rows are needed before the first line of a Parquet file.
             number = self._kinds.setdefault(_kind_of(parts), len(self._kinds))
             start = self._copy.tell()
+            # marshal is safe here: the file is this process's own, and gone with it.
             self.places[cell] = start, self._copy.write(marshal.dumps(parts)), number
 
     def counts(self) -> RowCounts | None:
@@ -716,6 +723,7 @@ def _write_parts(scan: _Scan, paths: Mapping[str, Path], files: FrameFiles | Non
     schemas = _schemas(scan.kinds)
     if files is not None:
         files.check_types(schemas)
+    # With checksums a damaged page is an error, and not another number.
     options = {"compression": "zstd", "write_page_checksum": True}
     with ExitStack() as stack:
         writers = {
@@ -736,6 +744,7 @@ def _joined(old: "pyarrow.Table", new: "pyarrow.Table", cells: Sequence[str]) ->
     import pyarrow
 
     columns = [
+        # Not safe: a whole number beyond 2**53 is rounded as a new row's is, and not refused.
         old[field.name].cast(field.type, safe=False)
         if field.name in old.column_names
         else pyarrow.nulls(old.num_rows, field.type)
@@ -745,4 +754,5 @@ def _joined(old: "pyarrow.Table", new: "pyarrow.Table", cells: Sequence[str]) ->
     if not (old.num_rows and new.num_rows):
         return table
     place = {cell: number for number, cell in enumerate(cells)}
+    # Stable, so that the joints and parameters of a cell keep their order.
     return table.take(np.argsort([place[cell] for cell in table["id"].to_pylist()], kind="stable"))

@@ -62,6 +62,7 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     folder = folders[0].write_plan(out, {**every[0], "machines": unique})
     with folder.new_writer("merge") as writer:
         for cell in filter(candidates.__contains__, planned):
+            # Only places are in memory; the rows of all runs together may be larger than it.
             best = min(candidates[cell], key=lambda row: _WORTH.index(row.status))
             writer.write(best.place.read())
     for run in folders:  # the first run that has stored data of a cell gives them

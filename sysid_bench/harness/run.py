@@ -146,6 +146,7 @@ class _Request:
         """True for a cell that has to run though it has a row."""
         if self.rerun == "all":
             return True
+        # The machine failed and not the method: again without being asked, but not for ever.
         if row.get("status") == "lost" and row.get("losses", 1) < MOST_LOSSES:
             return True
         if self.rerun == "failed":
@@ -196,6 +197,7 @@ def _run_selected(
     robots_dir = request.robots_dir or folder.suite.robots_folder
     fingerprint = current_fingerprint(folder.suite, robots_dir)
     with folder.lock() as lock:
+        # Read under the lock, which orphans of a killed run hold: nobody adds a row from here on.
         stored = folder.first_fields().rows
         todo = [
             cell
@@ -246,6 +248,7 @@ def _work(
             "fingerprints": {row.cell.id: row.fingerprint for row in heads},
             "artifacts": str(folder.path.resolve() / "artifacts"),
         }
+        # A worker keeps models of a robot with its payload in memory from job to job.
         group = " ".join(cells[0].labels[key] for key in ("robot", "payload"))
         jobs.append(Job(request.call, argument, tuple(heads), group))
     limits = suite.run

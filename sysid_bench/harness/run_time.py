@@ -67,6 +67,7 @@ def stored_times(folders: Iterable[Path]) -> StoredTimes:
             for row in rows:
                 for key in _estimator_keys(row["id"], row):
                     estimators[key].append(row["seconds_cpu"])
+            # Every cell states the time of its experiment, which all of them share: it counts once.
             for name, row in {row["experiment"]: row for row in rows}.items():
                 for key in _experiment_keys(name, row):
                     experiments[key].append(row["seconds_experiment_cpu"])

@@ -130,6 +130,7 @@ def _unique_labels(choices: Iterable[_Choice]) -> dict[str, str]:
         long.setdefault(key, texts[1])
     hashed = {key: f"{text} #{canonical_hash(key)[:6]}" for key, text in long.items()}
     labels = short
+    # Only labels that are not unique get longer: adding a robot leaves those of the others.
     for finer in (long, hashed):
         count = Counter(labels.values())
         labels = {key: finer[key] if count[text] > 1 else text for key, text in labels.items()}
@@ -259,6 +260,7 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
         "payload", "task", "plant", "prior", "excitation", "held_out", "simulation", "noise",
     )  # fmt: skip
     for spec, facts in _simulated_specs(suite, names):
+        # By value and not by place, since plants have simulations and noise of their own.
         keys = {
             **{axis: getattr(spec, axis) for axis in by_value},
             "robot": _robot_key(spec.robot, spec.free_base, spec.sensor),

@@ -33,6 +33,7 @@ def page_name(text: str) -> str:
     that is another text: two names have two pages on any disk."""
     plain = re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-")[:_LONGEST]
     if plain == text:
+        # Nothing was replaced: links to old pages stay.
         return plain
     return f"{plain or 'page'}-{hashlib.sha256(text.encode()).hexdigest()[:6]}"
 
@@ -153,6 +154,7 @@ class SuiteVersion:
         """Cells of all runs, each id once."""
         import pandas as pd
 
+        # The first run of a cell counts: a later submission cannot replace its row.
         kept = pd.concat([run.cells for run in self.runs], ignore_index=True)
         return kept.drop_duplicates("id", ignore_index=True)
 

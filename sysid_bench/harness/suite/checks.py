@@ -78,6 +78,7 @@ class Quantity:
         if number < 0 or (self.positive and number == 0):
             least = "positive" if self.positive else "0 or more"
             raise ValueError(f"must be {least}; got {value!r}.")
+        # Not `number >= below`: NaN is refused, too.
         if not number < self.below:
             raise ValueError(f"must be below {self.below:g}; got {value!r}.")
         return value

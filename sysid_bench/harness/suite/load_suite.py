@@ -55,6 +55,7 @@ def parse_suite(
     """
     data = _read(text, file)
     _check_kind(data, file)
+    # Before the overrides: a mistake in one has the line of the nearest key of the file.
     known_lines = key_lines(text)
     if overrides:
         data = set_values(data, overrides)
@@ -81,6 +82,7 @@ def set_values(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> d
         value: Any = text
         with suppress(ValueError):
             parsed = parse_toml(f"value = {text}")
+            # A text with a line end may hold further keys: it is a string as a whole then.
             value = parsed["value"] if len(parsed) == 1 else text
         if dotted == DATASET:
             data = with_dataset(data, list_of(value))

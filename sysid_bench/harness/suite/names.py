@@ -71,6 +71,7 @@ def default_names(robots_dir: Path | None = None) -> Names:
         manifest, names = find_manifest(source, robots_dir, folder), sensor_names(text)
         if set(names) <= {sensor.name for sensor in manifest.sensors}:
             return names  # known from the manifest, without loading the model
+        # A place that is not in the manifest: only the model knows its joints, sites and bodies.
         loaded = load_robot(manifest)
         return [subtree_at(loaded, name, ()) for name in names]
 
