@@ -56,7 +56,7 @@ class Run(Request["RunResult"]):
     rerun: Literal["failed", "stale", "all"] | None = option(
         "Run these cells again.", default=None, choices=("failed", "stale", "all")
     )
-    fail_fast: bool = False
+    fail_fast: bool = option("Stop at the first failure.", default=False)
     record: str | None = option(
         "Record cells that meet this expression.",
         default=None, metavar="SPEC", parse=parse_condition, complete="fields",

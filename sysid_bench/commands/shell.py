@@ -57,13 +57,11 @@ _REMOVED: Final = {
     "--all": "pipe the list, | less",
     "--zero": "use zero= of sysid_bench.paper_table",
     "--values": "use values= of sysid_bench.paper_table",
-    "--samples": "use samples= of sysid_bench.crosscheck",
     "--memory": "use memory= of sysid_bench.SurveyRequest",
     "--title": "a report has the title of its source",
     "--methods": "use methods= of sysid_bench.transfer",
     "--levels": "use levels= of sysid_bench.transfer",
     "--gravity": "write gravity = [...] into robot.toml",
-    "--fail-fast": "use fail_fast= of sysid_bench.run",
 }
 """Options of earlier versions, and what to do in their place."""
 
