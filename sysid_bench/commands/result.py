@@ -53,6 +53,7 @@ class Result(Mapping[str, Any]):
     def _make_plain(self) -> None:
         """Replace the fields by their JSON values; for use in `__post_init__`."""
         for entry in fields(self):
+            # The record is frozen; in __post_init__ nobody has seen it yet.
             object.__setattr__(self, entry.name, plain(getattr(self, entry.name)))
 
     def __getitem__(self, key: str) -> Any:

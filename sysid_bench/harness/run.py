@@ -95,6 +95,7 @@ def run(
         call=call, robots_dir=robots_dir,
     )  # fmt: skip
     on_event = on_event or no_progress
+    # An executor that is not there is an error before the suite is read.
     chosen = executor_of(executor)
     source, overrides = suite_or_folder, overrides or {}
     if not isinstance(source, Suite) and is_folder(Path(source)):

@@ -273,6 +273,7 @@ class Tolerance:
             return False
         if self.kind == "absolute":
             return abs(after - before) <= self.size
+        # Below the floor both are rounding; a change of sign above it is never the same.
         low, high = sorted((max(abs(before), self.floor), max(abs(after), self.floor)))
         return (before * after >= 0 and high <= self.size * low) or high <= self.floor
 

@@ -120,6 +120,7 @@ def suite_text(suite: Suite) -> str:
 
 def _read(text: str, file: str) -> dict[str, Any]:
     try:
+        # TOML and not YAML, which reads 10:30 as the number 630.
         return parse_toml(text)
     except ValueError as error:
         raise UsageError(f"{file}: not valid TOML: {error}.") from error
@@ -155,6 +156,7 @@ def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], name
     place = Path(folder) if isinstance(folder, str) else None
     context = CheckInput(names, place, frozenset(settings))
     try:
+        # pydantic goes on behind a mistake: all of them are reported at once, with their places.
         return Suite.model_validate(data, context=context)
     except ValidationError as error:
         mistakes = [_mistake(problem, data, file, lines) for problem in error.errors()]

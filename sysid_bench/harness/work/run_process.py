@@ -96,6 +96,8 @@ def _start_child(function: Callable[[Send], Any]) -> tuple[int, int]:
         with warnings.catch_warnings():
             # The other thread of a worker waits for its input and holds no lock that a child takes.
             warnings.simplefilter("ignore", DeprecationWarning)
+            # A fork has the prepared experiment and the engines, each of which is imported for half
+            # a second. It keeps faults in, and no cheat out: the truth is in its memory.
             child = os.fork()
     except OSError:
         os.close(read_end)
