@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -241,12 +242,11 @@ def _problem(
     terms = terms_of(definition, robot, request.terms)
     task = definition.unknowns(robot, terms, request.sensor, None)
     base = structural_base(robot, task.parameters, task.rows, task.cuts)
-    scenes: dict[float | None, Any] = {}
     problem = replace(
         design_problem(robot, request.rate),
         regress=information_model(robot, base.names, task.rows, task.cuts),
         torque=torque_model(robot),
-        scene=lambda floor: scenes.setdefault(floor, collision_model(robot, floor)),
+        scene=cache(partial(collision_model, robot)),  # by the height of the floor
         **_limits(robot.torque_rows, request.limits),
     )
     return robot, terms, base, problem

@@ -324,6 +324,7 @@ def _gain_warnings(payload: Mapping[str, Any], stated: float) -> Iterator[str]:
     """Yield sentences on torques that give another mass than the log states (kg), those of single
     joints or those of all together."""
     if "by_joint" in payload:
+        # Two joints with different gains disagree on the mass: each is compared by itself.
         wrong = [
             f"{name} {mass / stated:.3g} ± {std / stated:.1g}"
             for name, (mass, std) in payload["by_joint"].items()

@@ -185,6 +185,7 @@ def _estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[
     std_from = next(iter(errors), None)
     deviations = np.full(problem.base.rank, np.nan) if std_from is None else errors[std_from].std
     verdict = np.array(parameter_verdict(problem.base))
+    # The deviation of a base parameter is that of its pivot only where the pivot stands alone.
     std = np.full(len(problem.parameters), np.nan)
     std[problem.base.pivots] = deviations
     std[verdict != "identifiable"] = np.nan

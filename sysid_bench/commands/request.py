@@ -26,6 +26,8 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, Generic, ParamSpec, TypeVar, dataclass_transform
 
+from sysid_bench.commands.values import parse_terms
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -123,14 +125,8 @@ def terms_option() -> Any:
     """--terms, joint terms that are unknown; None: those of the robot or the task."""
     return option(
         "Joint terms that are also unknown: viscous,coulomb,j1.k,...; or none.",
-        default=None, parse=_terms, complete="terms", separated=True,
+        default=None, parse=parse_terms, complete="terms", separated=True,
     )  # fmt: skip
-
-
-def _terms(text: str) -> tuple[str, ...] | None:
-    from sysid_bench.commands.values import parse_terms
-
-    return parse_terms(text)
 
 
 def sensor_option() -> Any:

@@ -98,6 +98,7 @@ def parse_noise(text: str | None) -> dict[str, str]:
 
 def parse_condition(text: str | None) -> str | None:
     """Condition on cells as it was typed; raise UsageError for a single "=" outside strings."""
+    # ==, !=, <= and >= are comparisons; what stands in quotes is a label.
     if text is not None and _ASSIGNMENT.search(_STRING.sub("", text)):
         corrected = _ASSIGNMENT.sub("==", text)
         raise UsageError(f"{text!r} compares with a single '='; write ==, as in: {corrected}")

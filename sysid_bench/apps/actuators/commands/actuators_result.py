@@ -247,6 +247,7 @@ def file_fields(
     if len(singles) < 2:
         return {}
     files = _between(singles, [identify_drives(rows, shared, delay) for rows in singles])
+    # Two files give a range, and hardly a deviation: that of the residuals stays.
     if len(singles) < FILES:
         return {"files": files}
     between = {

@@ -260,6 +260,7 @@ def _problem(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
     )  # fmt: skip
     limits = robot.limits
     low, high = limits.q_low[v], limits.q_high[v]
+    # Commands reach about the middle of a joint's range, at most to its ends.
     half = 0.5 * (high - low)
     return CommandProblem(
         robot=robot,
@@ -300,6 +301,7 @@ def _gain(request: CommandsRequest, robot: RobotModel, name: str, joints: Sequen
     if name in request.gains:
         return _numbers(f"The gain {name}", request.gains[name], len(joints))
     mj = robot.mj
+    # The force of a position servo is kp (ctrl - q) - kd v, with biasprm = [0, -kp, -kd].
     of_joint = mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
     found = -mj.actuator_biasprm[:, 1 + GAINS.index(name)]
     by_joint = {
