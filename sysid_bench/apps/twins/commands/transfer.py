@@ -1,7 +1,7 @@
 """Verb `transfer`: what comparisons of methods on simulated replays predict of recorded robots."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from sysid_bench.apps.twins.commands.twin import TRUTHS, figure_option, jobs_option
-from sysid_bench.commands.request import Request, argument, option, python_function
+from sysid_bench.commands.request import OK, Request, argument, option
 from sysid_bench.commands.result import Result
 from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import unknown_name
@@ -59,22 +59,19 @@ class TransferRequest(Request["TransferResult"]):
     seed: int = option("Seed of the noise.", default=0, least=0, shown=True)
     figure: str | Path | None = figure_option()
     jobs: int = jobs_option()
-    progress: Callable[[str], None] | None = field(default=None, kw_only=True)
-
-    def shell(self, as_json: bool) -> int:
-        if self.progress is None:
-            return replace(self, progress=partial(click.echo, err=True)).shell(as_json)
-        return super().shell(as_json)
 
     def run(self) -> "TransferResult":
-        """Compare methods on recorded test motions and on replays of plants by level and of twins.
+        """Compare the methods; no set is announced as it is done."""
+        return self.compare(None)
 
-        The robot of all replays is the identified model (`truth`: "wls", "lmi" or both). Errors
-        refer to the measured torque, noisy in simulation, of `draws` draws. `jobs` processes share
-        the sets; `progress` is called with each that is done. `figure`: a picture of the shares.
-        Raises UsageError for unknown sets, methods, levels and models; a source that fails has a
-        reason. `wls`, to which all methods are compared, is always among them.
-        """
+    def shell(self, as_json: bool) -> int:
+        from sysid_bench.commands.terminal import print_result
+
+        print_result(self.compare(partial(click.echo, err=True)), as_json)
+        return OK
+
+    def compare(self, progress: Callable[[str], None] | None) -> "TransferResult":
+        """Compare the methods; `progress` is called with each set that is done."""
         from sysid_bench.apps.twins.commands.transfer_sources import Sources, TransferSource
         from sysid_bench.apps.twins.recorded_robot import METHOD, of_data_set
         from sysid_bench.commands.work_process import run_work
@@ -91,8 +88,8 @@ class TransferRequest(Request["TransferResult"]):
         found: dict[str, TransferSource] = {}
         for name, source in run_work(work, self.jobs):
             found[name] = source
-            if self.progress is not None:
-                self.progress(f"{name}: {source.seconds:.0f} s")
+            if progress is not None:
+                progress(f"{name}: {source.seconds:.0f} s")
         counts = _counts({name: found[name].errors for name in sets})
         figures = _figures(counts)
         if self.figure is not None:
@@ -113,7 +110,36 @@ class TransferRequest(Request["TransferResult"]):
         )
 
 
-transfer = python_function(TransferRequest, "transfer")
+def transfer(
+    sets: Sequence[str],
+    *,
+    truth: Sequence[str] = TRUTHS,
+    methods: Sequence[str] = METHODS,
+    levels: Sequence[str] = LEVELS,
+    draws: int = 3,
+    seed: int = 0,
+    figure: str | Path | None = None,
+    jobs: int = 1,
+    progress: Callable[[str], None] | None = None,
+) -> "TransferResult":
+    """Compare methods on recorded test motions and on replays of plants by level and of twins.
+
+    The robot of all replays is the identified model (`truth`: "wls", "lmi" or both). Errors refer
+    to the measured torque, noisy in simulation, of `draws` draws. `jobs` processes share the sets;
+    `progress` is called with each that is done. `figure`: a picture of the shares. Raises
+    UsageError for unknown sets, methods, levels and models; a source that fails has a reason.
+    `wls`, to which all methods are compared, is always among them.
+    """
+    return TransferRequest(
+        sets=sets,
+        truth=truth,
+        methods=methods,
+        levels=levels,
+        draws=draws,
+        seed=seed,
+        figure=figure,
+        jobs=jobs,
+    ).compare(progress)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
