@@ -55,6 +55,7 @@ CHANGES: dict[str, Any] = {
     "candidate": {"step": 1e-3},
     "log": {"train": ["run.toml"]},
     "content": "0123456789ab",
+    "confidence": 0.9,
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
     motion_seed: {"seed", "robot", "content", "excitation", "redrawn"},
