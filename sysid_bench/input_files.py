@@ -102,6 +102,17 @@ def parse_toml(text: str) -> dict[str, Any]:
     return tables
 
 
+def read_toml(file: Path, refusal: type[Exception]) -> dict[str, Any]:
+    """Return the tables of a TOML file; raises `refusal`, with the file and the reason, for one
+    that cannot be read."""
+    try:
+        return parse_toml(read_text(file))
+    except OSError as error:
+        raise refusal(f"{file} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:
+        raise refusal(f"{file} is not valid TOML: {error}.") from error
+
+
 def parse_json(text: str | bytes) -> Any:
     """Return the value of a JSON text; raises ValueError for another text, also one with numbers or
     nesting beyond Python's limits."""

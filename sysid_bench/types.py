@@ -9,7 +9,7 @@ Units are SI; a degree of freedom is an angle (rad, N m) or a length (m, N). A m
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -307,18 +307,6 @@ class Estimate:
     iterations: int | None = None
     simulations: int | None = None
     stop: str = ""
-
-
-class LinearEstimator(Protocol):
-    """Estimator that uses W beta = b alone."""
-
-    def solve(self, problem: Problem) -> Estimate: ...
-
-
-class SimulatingEstimator(Protocol):
-    """Estimator that simulates or models the noise."""
-
-    def fit(self, experiment: Experiment) -> Estimate: ...
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,6 @@ from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.recorded.prepare import prepare_recordings
 from sysid_bench.experiments.recorded.process_log import lock_manifest
-from sysid_bench.experiments.simulated.built_plant import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise
@@ -192,9 +191,7 @@ def spec_of(case: Case, plant: Mapping[str, Any], motion: str, rate: float) -> E
 
 def simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Recording:
     """What the sensors of a simulated experiment read."""
-    part = noise_free_part(spec, loaded)
-    sensors = MeasuredSensors(spec, part.simulated.built, part.task)
-    return record(spec, part.simulated, sensors).raw
+    return record(spec, noise_free_part(spec, loaded).simulated).raw
 
 
 def write_log(stem: Path, raw: Recording, rate: int, robot: RobotModel) -> LogDescription:

@@ -16,7 +16,7 @@ import numpy as np
 
 from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.types import Array, Trajectory
+from sysid_bench.types import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +39,6 @@ class Commands:
         return bool(np.abs(self.v[[0, -1]]).max() < 1e-3)
 
 
-def commands_of(
-    motion: Trajectory, tau: Array, joints: tuple[str, ...], qadr: list[int], dofs: list[int]
-) -> Commands:
-    """Return the commands of joints at `qadr` in q and `dofs` in v, with torques tau (N, k)."""
-    return Commands(joints, motion.t, motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs], tau)
-
-
 def commands_csv(commands: Commands) -> str:
     """Return CSV text `t, <joint>.q ..., <joint>.v ..., <joint>.a ..., <joint>.tau ...`, a line per
     sample, whose numbers read back exactly."""
@@ -57,20 +50,18 @@ def commands_csv(commands: Commands) -> str:
 
 def _message(commands: Commands) -> dict[str, Any]:
     """Return the message as nested values; `effort` is the feed-forward torque (N m, N)."""
-    nanoseconds = [round(float(t) * 1e9) for t in commands.t]
-    points = [
-        {
-            "positions": commands.q[k].tolist(),
-            "velocities": commands.v[k].tolist(),
-            "accelerations": commands.a[k].tolist(),
-            "effort": commands.tau[k].tolist(),
-            "time_from_start": {
-                "sec": nanoseconds[k] // 10**9,
-                "nanosec": nanoseconds[k] % 10**9,
-            },
-        }
-        for k in range(len(commands))
-    ]
+    points = []
+    for k, t in enumerate(commands.t):
+        sec, nanosec = divmod(round(float(t) * 1e9), 10**9)
+        points.append(
+            {
+                "positions": commands.q[k].tolist(),
+                "velocities": commands.v[k].tolist(),
+                "accelerations": commands.a[k].tolist(),
+                "effort": commands.tau[k].tolist(),
+                "time_from_start": {"sec": sec, "nanosec": nanosec},
+            }
+        )
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     return {"header": header, "joint_names": list(commands.joints), "points": points}
 
@@ -83,12 +74,9 @@ def json_text(commands: Commands) -> str:
 def ros2_text(commands: Commands) -> str:
     """Return the message as YAML, one line per point in the JSON subset of YAML."""
     whole = _message(commands)
-    lines = [
-        f"header: {json.dumps(whole['header'])}",
-        f"joint_names: {json.dumps(whole['joint_names'])}",
-        "points:",
-        *(f"- {json.dumps(point)}" for point in whole["points"]),
-    ]
+    points = whole.pop("points")
+    lines = [f"{key}: {json.dumps(value)}" for key, value in whole.items()]
+    lines += ["points:", *(f"- {json.dumps(point)}" for point in points)]
     return "\n".join(lines) + "\n"
 
 
@@ -192,52 +180,46 @@ def _drive(joint: str, number: int, settings: Mapping[str, Any]) -> DamiaoDrive:
     if name not in MOTORS:
         raise unknown_name("Damiao motor", name, MOTORS)
     motor = MOTORS[name]
-    speed, torque = _physical_limits(joint, name, settings)
-    scaling = MotorScale(
-        p=_positive(joint, "pmax", settings.get("pmax", motor.scaling.p)),
-        v=_positive(joint, "vmax", settings.get("vmax", motor.scaling.v)),
-        tau=_positive(joint, "tmax", settings.get("tmax", motor.scaling.tau)),
-    )
-    kp, kd = _gains(joint, settings)
-    share = _positive(joint, "share", settings.get("share", _SHARE))
-    low, high = (float(edge) for edge in settings.get("q", (-scaling.p, scaling.p)))
-    identifier = settings.get("id", number)
-    whole = isinstance(identifier, int) and not isinstance(identifier, bool)
-    if not (whole and 0 < identifier < 2048):
-        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {identifier!r}.")
+    # Physical limits as given by the user, else as published.
+    usual = {"v": motor.speed, "tau": motor.torque, "share": _SHARE}
+    usual |= {"pmax": motor.scaling.p, "vmax": motor.scaling.v, "tmax": motor.scaling.tau}
+    known = {key: settings.get(key, value) for key, value in usual.items()}
+    if known["v"] is None or known["tau"] is None:
+        raise UsageError(
+            f"The manufacturer publishes no physical limits of {name} (joint {joint!r}); give "
+            "them: v = rad/s and tau = N m. The scaling of its frames is not a limit."
+        )
+    for key, value in known.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+            raise UsageError(f"{joint!r}: {key} must be a positive number; got {value!r}.")
+    p, v, tau = (float(known[key]) for key in ("pmax", "vmax", "tmax"))
+    kp, kd = (float(settings.get(key, default)) for key, default in (("kp", 20.0), ("kd", 1.0)))
+    _check_address(joint, kp, kd, settings.get("id", number))
+    low, high = (float(edge) for edge in settings.get("q", (-p, p)))
     return DamiaoDrive(
         joint=joint,
         motor=name,
-        id=identifier,
+        id=settings.get("id", number),
         kp=kp,
         kd=kd,
-        scaling=scaling,
-        position=(max(low, -scaling.p), min(high, scaling.p)),
-        speed=min(share * _positive(joint, "v", speed), scaling.v),
-        torque=min(share * _positive(joint, "tau", torque), scaling.tau),
+        scaling=MotorScale(p, v, tau),
+        position=(max(low, -p), min(high, p)),
+        speed=min(known["share"] * float(known["v"]), v),
+        torque=min(known["share"] * float(known["tau"]), tau),
         rated=motor.rated,
     )
 
 
-def _physical_limits(joint: str, motor: str, settings: Mapping[str, Any]) -> tuple[Any, Any]:
-    """Return speed and torque as given by the user, else as published."""
-    speed = settings.get("v", MOTORS[motor].speed)
-    torque = settings.get("tau", MOTORS[motor].torque)
-    if speed is None or torque is None:
-        raise UsageError(
-            f"The manufacturer publishes no physical limits of {motor} (joint {joint!r}); give "
-            "them: v = rad/s and tau = N m. The scaling of its frames is not a limit."
-        )
-    return speed, torque
-
-
-def _gains(joint: str, settings: Mapping[str, Any]) -> tuple[float, float]:
-    kp, kd = (float(settings.get(key, usual)) for key, usual in (("kp", 20.0), ("kd", 1.0)))
+def _check_address(joint: str, kp: float, kd: float, identifier: Any) -> None:
+    """Raise UsageError for gains and a CAN id that a frame cannot hold, and for gains that make a
+    motor oscillate."""
     if not (0 <= kp <= _GAINS[0] and 0 <= kd <= _GAINS[1]):
         raise UsageError(f"{joint!r}: kp lies between 0 and 500, kd between 0 and 5.")
     if kp > 0 and kd == 0:
         raise UsageError(f"{joint!r}: kp > 0 with kd = 0 makes a motor oscillate; give kd.")
-    return kp, kd
+    whole = isinstance(identifier, int) and not isinstance(identifier, bool)
+    if not (whole and 0 < identifier < 2048):
+        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {identifier!r}.")
 
 
 def damiao_motors(
@@ -267,10 +249,10 @@ def limit_commands(
     """Return the commands clamped to the limits of their motors, and a report per joint.
 
     The report has the shares of samples at which position, velocity and torque were clamped, and
-    the rms torque (N m). Raises UsageError where a share is above `most`.
+    the rms torque (N m); `hot`: it exceeds the rated one. Raises UsageError where a share is above
+    `most`.
     """
-    low = np.array([drive.position[0] for drive in drives])
-    high = np.array([drive.position[1] for drive in drives])
+    low, high = np.array([drive.position for drive in drives]).T
     speed, torque = (np.array([getattr(d, key) for d in drives]) for key in ("speed", "torque"))
     inside = replace(
         commands,
@@ -278,36 +260,33 @@ def limit_commands(
         v=np.clip(commands.v, -speed, speed),
         tau=np.clip(commands.tau, -torque, torque),
     )
-    report = [_clamping(commands, inside, j, drive) for j, drive in enumerate(drives)]
+    report: list[dict[str, Any]] = []
+    for j, drive in enumerate(drives):
+        shares = {
+            key: float(np.mean(getattr(inside, key)[:, j] != getattr(commands, key)[:, j]))
+            for key in ("q", "v", "tau")
+        }
+        # Windings heat with the square of the current, so the rms over the motion is what counts.
+        rms = float(np.sqrt(np.mean(commands.tau[:, j] ** 2)))
+        report.append(
+            {
+                "joint": drive.joint,
+                "clamped": shares,
+                "rms_torque": rms,
+                "rated_torque": drive.rated,
+                "hot": drive.rated is not None and rms > drive.rated,
+            }
+        )
     worst = max(report, key=lambda entry: max(entry["clamped"].values()))
     signal, share = max(worst["clamped"].items(), key=itemgetter(1))
     if share > most:
+        word = {"q": "position", "v": "velocity", "tau": "torque"}[signal]
         raise UsageError(
-            f"{share:.1%} of the samples of {worst['joint']!r} break the {_WORDS[signal]} limit of "
+            f"{share:.1%} of the samples of {worst['joint']!r} break the {word} limit of "
             f"its motor, more than {most:.1%}. Clamping changes the motion: design it within these "
             "limits (--limit), or allow a larger share (--clamp)."
         )
     return inside, report
-
-
-def _clamping(commands: Commands, inside: Commands, j: int, drive: DamiaoDrive) -> dict[str, Any]:
-    """Return the report of one joint; `hot`: its rms torque exceeds the rated one."""
-    shares = {
-        key: float(np.mean(getattr(inside, key)[:, j] != getattr(commands, key)[:, j]))
-        for key in ("q", "v", "tau")
-    }
-    # Windings heat with the square of the current, so the rms over the motion is what counts.
-    rms = float(np.sqrt(np.mean(commands.tau[:, j] ** 2)))
-    return {
-        "joint": drive.joint,
-        "clamped": shares,
-        "rms_torque": rms,
-        "rated_torque": drive.rated,
-        "hot": drive.rated is not None and rms > drive.rated,
-    }
-
-
-_WORDS: Final = {"q": "position", "v": "velocity", "tau": "torque"}
 
 
 def _frames(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:
@@ -375,9 +354,3 @@ def _code(x: Array, low: float, high: float, bits: int) -> Array:
         raise ValueError(f"A command leaves the scaling {low:g} to {high:g}: clamp it first.")
     # Nearest code, as half a quantum is the least error; the drive decodes code / (2^bits - 1).
     return np.asarray(np.round((x - low) * (2**bits - 1) / (high - low)).astype(int))
-
-
-def _positive(joint: str, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
-        raise UsageError(f"{joint!r}: {key} must be a positive number; got {value!r}.")
-    return float(value)

@@ -46,9 +46,36 @@ class Margins:
 def limit_margins(motion: Trajectory, robot: RobotModel) -> Margins:
     """Return the margins of a motion of a robot; dependent joints of closed chains have the limits
     that are stated for them."""
-    use, time = _largest_uses(motion, robot)
-    stated = np.isfinite(_stated_bounds(robot)[1]).any(axis=1)
-    q, v, a = (float(1 - x.max()) if given else None for x, given in zip(use, stated, strict=True))
+    centre, reach = _stated_bounds(robot)
+    step = float(motion.t[1] - motion.t[0])
+    # Ends q0, q1 - q0, v0, v1, a0, a1 of each step (6, N - 1, nv), in units of the step, in which
+    # the weights of the polynomials are plain numbers; q0 of a rotation is zero.
+    q = np.zeros_like(motion.v)
+    for joint in robot.joints:
+        if joint.kind in ("hinge", "slide"):
+            q[:, joint.vadr] = motion.q[:, joint.qadr]
+    moves = motion_steps(motion, robot.joints).moves
+    v, a = step * motion.v, step**2 * motion.a
+    ends = np.array([q[:-1], moves, v[:-1], v[1:], a[:-1], a[1:]])
+    ends[0] -= centre[0]
+    size, place = np.abs(ends[[0, 2, 4]]).max(axis=1), np.abs(ends[[0, 2, 4]]).argmax(axis=1)
+    for start in range(0, ends.shape[1], CHUNK):
+        part = ends[:, start : start + CHUNK]
+        for share, weights in _WEIGHTS.items():
+            values = np.tensordot(weights, part, axes=1)  # (6, n, nv): quintic, cubics
+            np.abs(values, out=values)
+            between = np.minimum(values[:3], values[3:], out=values[:3])
+            k = between.argmax(axis=1)
+            found = np.take_along_axis(between, k[:, None], axis=1)[:, 0]
+            place = np.where(found > size, start + k + share, place)
+            size = np.maximum(found, size)
+    # A limit of zero is kept by zero alone, an infinite one by all.
+    allowed = np.maximum(reach * step ** np.arange(3)[:, None], np.finfo(float).tiny)
+    # Largest shares of the limits (3, nv), 0 without a limit, and their times (s).
+    use, time = size / allowed, motion.t[0] + step * place
+    stated = np.isfinite(reach).any(axis=1)
+    pairs = zip(use, stated, strict=True)
+    left = [float(1 - x.max()) if given else None for x, given in pairs]
     kind, dof = np.unravel_index(int(np.argmax(use)), use.shape)
     broken = ""
     if use[kind, dof] > 1 + ROUNDING:
@@ -56,7 +83,7 @@ def limit_margins(motion: Trajectory, robot: RobotModel) -> Margins:
             f"the {QUANTITIES[kind]} of {robot.rows[dof]} exceeds its limit by "
             f"{100 * (use[kind, dof] - 1):.3g} % at {time[kind, dof]:.4g} s"
         )
-    return Margins(q, v, a, broken)
+    return Margins(q=left[0], v=left[1], a=left[2], broken=broken)
 
 
 def check_limits(margins: Margins, origin: str) -> None:
@@ -98,37 +125,6 @@ def _stated_bounds(robot: RobotModel) -> tuple[Array, Array]:
     middle, still = 0.5 * (high + low), np.zeros_like(v)
     reach = np.where(stated, 0.5 * (high - low), np.inf)
     return np.array([middle, still, still]), np.array([reach, v, a])
-
-
-def _largest_uses(motion: Trajectory, robot: RobotModel) -> tuple[Array, Array]:
-    """Return the largest shares of the limits (3, nv) of q, v, a on the finer grid, 0 without a
-    limit, and their times (3, nv) in s."""
-    centre, reach = _stated_bounds(robot)
-    step = float(motion.t[1] - motion.t[0])
-    # Ends q0, q1 - q0, v0, v1, a0, a1 of each step (6, N - 1, nv), in units of the step, in which
-    # the weights of the polynomials are plain numbers; q0 of a rotation is zero.
-    q = np.zeros_like(motion.v)
-    for joint in robot.joints:
-        if joint.kind in ("hinge", "slide"):
-            q[:, joint.vadr] = motion.q[:, joint.qadr]
-    moves = motion_steps(motion, robot.joints).moves
-    v, a = step * motion.v, step**2 * motion.a
-    ends = np.array([q[:-1], moves, v[:-1], v[1:], a[:-1], a[1:]])
-    ends[0] -= centre[0]
-    size, place = np.abs(ends[[0, 2, 4]]).max(axis=1), np.abs(ends[[0, 2, 4]]).argmax(axis=1)
-    for start in range(0, ends.shape[1], CHUNK):
-        part = ends[:, start : start + CHUNK]
-        for share, weights in _WEIGHTS.items():
-            values = np.tensordot(weights, part, axes=1)  # (6, n, nv): quintic, cubics
-            np.abs(values, out=values)
-            between = np.minimum(values[:3], values[3:], out=values[:3])
-            k = between.argmax(axis=1)
-            found = np.take_along_axis(between, k[:, None], axis=1)[:, 0]
-            place = np.where(found > size, start + k + share, place)
-            size = np.maximum(found, size)
-    # A limit of zero is kept by zero alone, an infinite one by all.
-    allowed = np.maximum(reach * step ** np.arange(3)[:, None], np.finfo(float).tiny)
-    return size / allowed, motion.t[0] + step * place
 
 
 def _weights(s: float) -> Array:

@@ -51,18 +51,6 @@ class MotionSteps:
     size: Array
 
 
-@dataclass(frozen=True)
-class _Mismatch:
-    """Largest difference of a rate from the differences of its signal, at a sample and a degree of
-    freedom, beyond its tolerance."""
-
-    sample: int
-    dof: int
-    found: float
-    expected: float
-    tolerance: float
-
-
 def check_motion(motion: Any, joints: Sequence[Joint], rate: float, origin: str) -> None:
     """Raise UsageError unless a motion of `joints` at `rate` (Hz) is consistent: t (N,), q (N, nq),
     v and a (N, nv) finite, even time steps, unit quaternions, v and a the derivatives of q and v.
@@ -154,12 +142,14 @@ def derivative_problems(motion: Trajectory, joints: Sequence[Joint]) -> Iterator
     rates = MotionSteps(np.diff(motion.v, axis=0), np.zeros_like(gains.swing), gains.size / step)
     names = [dof for joint in joints for dof in joint.dofs]
     for name, of, change, rate in (("v", "q", gains, motion.v), ("a", "v", rates, motion.a)):
-        found = _mismatch(change, rate, step)
-        if found is not None:
+        expected, tolerance = _expected_rate(change, rate, step)
+        error = np.abs(rate - expected) / tolerance
+        at = np.unravel_index(int(np.argmax(error)), error.shape)
+        if error[at] > 1.0:
             yield (
-                f"{name} of {names[found.dof]} differs from the differences of {of} at "
-                f"{motion.t[found.sample]:.4g} s: {found.found:.4g} instead of "
-                f"{found.expected:.4g}, tolerance {found.tolerance:.2g} (rad or m, and s); {name} "
+                f"{name} of {names[at[1]]} differs from the differences of {of} at "
+                f"{motion.t[at[0]]:.4g} s: {rate[at]:.4g} instead of "
+                f"{expected[at]:.4g}, tolerance {tolerance[at]:.2g} (rad or m, and s); {name} "
                 f"must be the derivative of {of}, for rotations in the frame of the body"
             )
 
@@ -186,11 +176,10 @@ def motion_steps(motion: Trajectory, joints: Sequence[Joint]) -> MotionSteps:
     return MotionSteps(moves, swing, size)
 
 
-def _mismatch(change: MotionSteps, rate: Array, step: float) -> _Mismatch | None:
-    """Return the largest difference of `rate` (N, n) from the differences of a signal, in units of
-    its tolerance; None where all are within."""
-    moves = change.moves
-    N = len(rate)
+def _expected_rate(change: MotionSteps, rate: Array, step: float) -> tuple[Array, Array]:
+    """Return the differences of a signal, by which its `rate` (N, n) is judged, and their
+    tolerance (N, n)."""
+    moves, N = change.moves, len(rate)
     taylor = np.full((N, 1), 1 / 6)
     taylor[[0, -1]] = 1 / 3  # one-sided differences of second order
     expected = np.empty_like(moves, shape=rate.shape)
@@ -205,13 +194,7 @@ def _mismatch(change: MotionSteps, rate: Array, step: float) -> _Mismatch | None
     )
     digits = DIGITS * np.finfo(float).eps * change.size
     tolerance += ROUNDING * np.abs(rate).max(axis=0) + digits / step
-    error = np.abs(rate - expected / step) / tolerance
-    k, j = np.unravel_index(int(np.argmax(error)), error.shape)
-    if not error[k, j] > 1.0:
-        return None
-    return _Mismatch(
-        int(k), int(j), float(rate[k, j]), float(expected[k, j] / step), float(tolerance[k, j])
-    )
+    return expected / step, tolerance
 
 
 def _near(differences: Array, N: int) -> Array:

@@ -35,7 +35,6 @@ class MotionFile:
     cycles: int = 1
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not is_count(self.cycles) or (self.period is not None and not self.period > 0):
             raise UsageError(f"{self}: required are cycles >= 1 and a positive period.")
         if self.period is None and self.cycles != 1:

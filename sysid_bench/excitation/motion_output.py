@@ -12,7 +12,7 @@ from sysid_bench.csv_text import cell_text
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation import export
 from sysid_bench.excitation.design_problem import DesignProblem
-from sysid_bench.excitation.export import Commands, commands_csv, commands_of
+from sysid_bench.excitation.export import Commands
 from sysid_bench.excitation.information import torque_model
 from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.input_files import is_file, is_folder, read_text
@@ -47,16 +47,11 @@ def check_output(export: str | None, out: str | Path | None) -> str:
     kind = export or "csv"
     if kind not in EXPORTS:
         raise unknown_name("export", kind, EXPORTS)
-    if out is not None:
-        _check_folder(Path(out).parent)
-    elif export is not None:
+    if out is None and export is not None:
         raise UsageError("Where does the export go? Give a file: -o FILE.")
+    if out is not None and not is_folder(Path(out).parent):
+        raise UsageError(f"There is no folder {str(Path(out).parent)!r} to write the motion to.")
     return kind
-
-
-def _check_folder(folder: Path) -> None:
-    if not is_folder(folder):
-        raise UsageError(f"There is no folder {str(folder)!r} to write the motion to.")
 
 
 def joint_motors(
@@ -71,21 +66,15 @@ def joint_motors(
             f"Which motors drive {', '.join(joints)}? Name them in this order, as --motors "
             f"DM4340,DM4310,..., or in a TOML file; there are: {', '.join(export.MOTORS)}."
         )
-    return export.damiao_motors(joints, _by_joint(joints, motors))
-
-
-def _by_joint(
-    joints: tuple[str, ...], motors: Mapping[str, Mapping[str, Any]]
-) -> Mapping[str, Mapping[str, Any]]:
-    """Motors by the names of the joints; raise UsageError for numbered ones of another count."""
     by_number = {str(k): name for k, name in enumerate(joints, 1)}
-    if not set(motors) <= by_number.keys() - set(joints):
-        return motors
-    if len(motors) != len(joints):
-        raise UsageError(
-            f"{len(motors)} motor(s) for {len(joints)} joints: {', '.join(joints)}; name one each."
-        )
-    return {by_number[k]: motor for k, motor in motors.items()}
+    if set(motors) <= by_number.keys() - set(joints):
+        if len(motors) != len(joints):
+            raise UsageError(
+                f"{len(motors)} motor(s) for {len(joints)} joints: {', '.join(joints)}; name one "
+                "each."
+            )
+        motors = {by_number[k]: motor for k, motor in motors.items()}
+    return export.damiao_motors(joints, motors)
 
 
 def read_motion(
@@ -114,22 +103,14 @@ def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
         table = pd.read_csv(io.StringIO(read_text(file))).rename(columns=cell_text)
     except (OSError, ValueError) as error:  # those of pandas are ValueErrors
         raise UsageError(f"{file} is not a table of a recorded motion: {error}.") from error
-    _check_columns(table, columns, file)
-    table = table[[*columns, *{"t"}.intersection(table)]]
-    return _finite(table, table.apply(pd.to_numeric, errors="coerce").astype(float), file)
-
-
-def _check_columns(table: "pd.DataFrame", columns: Sequence[str], file: Path) -> None:
     missing = [column for column in columns if column not in table]
     if missing:
         raise UsageError(
             f"{file.name} has no columns {', '.join(missing[:8])}; a recorded motion is a CSV file "
             "as excite writes it."
         )
-
-
-def _finite(table: "pd.DataFrame", numbers: "pd.DataFrame", file: Path) -> "pd.DataFrame":
-    """The numbers of a table; raise UsageError for a cell that is not a finite number."""
+    table = table[[*columns, *{"t"}.intersection(table)]]
+    numbers: pd.DataFrame = table.apply(pd.to_numeric, errors="coerce").astype(float)
     wrong = np.argwhere(~np.isfinite(numbers.to_numpy()))
     if len(wrong):
         row, column = wrong[0]
@@ -144,60 +125,37 @@ def _finite(table: "pd.DataFrame", numbers: "pd.DataFrame", file: Path) -> "pd.D
 def joint_commands(robot: RobotModel, motion: Trajectory, joints: tuple[str, ...]) -> Commands:
     """Return positions, rates and feed-forward torques of the joints along a motion."""
     named = {joint.name: joint for joint in robot.joints}
+    qadr, dofs = [named[name].qadr for name in joints], [named[name].vadr for name in joints]
     rows = [robot.torque_rows.index(name) for name in joints]
-    return commands_of(
-        motion,
-        torque_model(robot).of(motion)[:, rows],
-        joints,
-        [named[name].qadr for name in joints],
-        [named[name].vadr for name in joints],
-    )
+    tau = torque_model(robot).of(motion)[:, rows]
+    return Commands(joints, motion.t, motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs], tau)
 
 
 def write_motion(
-    file: Path,
-    kind: str,
-    commands: Commands,
-    drives: Drives,
-    clamp: float,
+    file: Path, kind: str, commands: Commands, drives: Drives, clamp: float
 ) -> MotionOutput:
     """Write commands in the format of an export; at most the share `clamp` of a motor's samples may
     be clamped to its range."""
-    text, report = _export(file, kind, commands, drives, clamp)
-    file.write_text(text, encoding="utf-8")
     warnings = [] if commands.is_at_standstill else [MOVING_START]
-    return MotionOutput(warnings + _hot_motors(report or []), report)
-
-
-def _export(
-    file: Path, kind: str, commands: Commands, drives: Drives, clamp: float
-) -> tuple[str, list[dict[str, Any]] | None]:
-    """Text of an export, and for Damiao exports the scaling and clamping of each motor."""
+    entries = None
     if kind == "csv":
-        return commands_csv(commands), None
-    if kind == "ros2":
-        return (export.json_text if file.suffix == ".json" else export.ros2_text)(commands), None
-    return _damiao_export(kind, commands, drives, clamp)
-
-
-def _damiao_export(
-    kind: str, commands: Commands, drives: Drives, clamp: float
-) -> tuple[str, list[dict[str, Any]]]:
-    # Clamping changes the commands, so that table and report describe what the motors receive.
-    commands, report = export.limit_commands(commands, drives, clamp)
-    if kind == "can":
-        text = export.log_text(commands, drives)
+        text = export.commands_csv(commands)
+    elif kind == "ros2":
+        text = (export.json_text if file.suffix == ".json" else export.ros2_text)(commands)
     else:
-        text = export.table_text(commands, drives, report)
-    entries = [drive.to_json() | entry for drive, entry in zip(drives, report, strict=True)]
-    return text, entries
-
-
-def _hot_motors(report: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Warn about motors whose RMS torque is above the rated one: they overheat in the long run."""
-    return [
-        f"{entry['joint']}: RMS torque {entry['rms_torque']:.3g} N m is above the rated "
-        f"{entry['rated_torque']:.3g} N m of its motor"
-        for entry in report
-        if entry["hot"]
-    ]
+        # Clamping changes the commands, so that table and report describe what the motors receive.
+        commands, report = export.limit_commands(commands, drives, clamp)
+        if kind == "can":
+            text = export.log_text(commands, drives)
+        else:
+            text = export.table_text(commands, drives, report)
+        entries = [drive.to_json() | entry for drive, entry in zip(drives, report, strict=True)]
+        # These motors overheat in the long run.
+        warnings += [
+            f"{entry['joint']}: RMS torque {entry['rms_torque']:.3g} N m is above the rated "
+            f"{entry['rated_torque']:.3g} N m of its motor"
+            for entry in report
+            if entry["hot"]
+        ]
+    file.write_text(text, encoding="utf-8")
+    return MotionOutput(warnings, entries)

@@ -89,7 +89,6 @@ class Optimised:
     boxes: Mapping[str, Sequence[Sequence[float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         criterion_weights(self.objective)
         if self.family not in FAMILIES:
             raise unknown_name("family of curves", self.family, FAMILIES)

@@ -4,7 +4,7 @@ chirps and sines, moves between postures.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -12,12 +12,28 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.design_problem import (
     MARGIN,
     DesignProblem,
+    Shape,
     dense_grid,
     is_count,
     scale_to_limits,
 )
 from sysid_bench.excitation.design_space import Curves, curves_of
 from sysid_bench.types import Array, Trajectory
+
+
+def _scaled_motion(
+    shape: Shape,
+    duration: float,
+    fastest: float,
+    brief: DesignProblem,
+    rng: np.random.Generator,
+    name: str,
+) -> Trajectory:
+    """The motion of a shape scaled into the limits, whose highest frequency is `fastest` (Hz)."""
+    scale, offset = scale_to_limits(shape, dense_grid(duration, fastest), brief, rng)
+    t = brief.times(duration)
+    x, dx, ddx = shape(t)
+    return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, name)
 
 
 @dataclass(frozen=True)
@@ -29,7 +45,6 @@ class Fourier:
     cycles: int = 2
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (is_count(self.harmonics) and is_count(self.cycles) and self.period > 0):
             raise UsageError(
                 f"{self}: required are harmonics >= 1, cycles >= 1 and a positive period."
@@ -81,7 +96,6 @@ class Chirp:
     duration: float = field(default=10.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (0 < self.lowest < self.highest and self.duration > 0):
             raise UsageError(f"{self}: required are 0 < lowest < highest and a positive duration.")
 
@@ -99,10 +113,7 @@ class Chirp:
             sin, cos = np.sin(angle), np.cos(angle)
             return sin, w * cos, dw * cos - w**2 * sin
 
-        scale, offset = scale_to_limits(shape, dense_grid(self.duration, self.highest), brief, rng)
-        t = brief.times(self.duration)
-        x, dx, ddx = shape(t)
-        return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, "chirp")
+        return _scaled_motion(shape, self.duration, self.highest, brief, rng, "chirp")
 
 
 @dataclass(frozen=True)
@@ -119,7 +130,6 @@ class Multisine:
     duration: float = field(default=10.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (is_count(self.sines) and 0 < self.lowest <= self.highest and self.duration > 0):
             raise UsageError(
                 f"{self}: required are sines >= 1, 0 < lowest <= highest and a positive duration."
@@ -138,10 +148,7 @@ class Multisine:
             sin, cos = amplitude * np.sin(angle), amplitude * np.cos(angle)
             return sin.sum(axis=1), (w * cos).sum(axis=1), (-w * w * sin).sum(axis=1)
 
-        scale, offset = scale_to_limits(shape, dense_grid(self.duration, self.highest), brief, rng)
-        t = brief.times(self.duration)
-        x, dx, ddx = shape(t)
-        return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, "multisine")
+        return _scaled_motion(shape, self.duration, self.highest, brief, rng, "multisine")
 
 
 @dataclass(frozen=True)
@@ -153,7 +160,6 @@ class FourierPolynomial:
     period: float = field(default=5.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (is_count(self.harmonics) and self.period > 0):
             raise UsageError(f"{self}: required are harmonics >= 1 and a positive period.")
 
@@ -172,10 +178,7 @@ class FourierPolynomial:
             x, dx, ddx = (B @ C for B in curves.at(t))
             return x, dx, ddx
 
-        scale, offset = scale_to_limits(shape, dense_grid(self.period, curves.fastest), brief, rng)
-        t = brief.times(self.period)
-        x, dx, ddx = shape(t)
-        return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, curves.kind)
+        return _scaled_motion(shape, self.period, curves.fastest, brief, rng, curves.kind)
 
 
 @dataclass(frozen=True)
@@ -200,21 +203,12 @@ class PointToPoint:
 
     moves: int = 6
     rest: float = field(default=0.2, metadata={"unit": "s"})
+    share: ClassVar[float] = MARGIN  # of the limits of velocity and acceleration that a move uses
+    name: ClassVar[str] = "ptp"  # of its trajectories
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (is_count(self.moves) and self.rest >= 0):
             raise UsageError(f"{self}: required are moves >= 1 and rest >= 0.")
-
-    @property
-    def share(self) -> float:
-        """Share of the limits of velocity and acceleration that a move uses."""
-        return MARGIN
-
-    @property
-    def name(self) -> str:
-        """Name of its trajectories."""
-        return "ptp"
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         """Return a motion through `moves` random postures from rest to rest."""
@@ -245,16 +239,8 @@ class Static(PointToPoint):
 
     moves: int = 12
     rest: float = field(default=2.0, metadata={"unit": "s"})
-
-    @property
-    def share(self) -> float:
-        """Share at which gravity makes nearly all of the torque."""
-        return 0.25
-
-    @property
-    def name(self) -> str:
-        """Name of its trajectories."""
-        return "static"
+    share: ClassVar[float] = 0.25  # at which gravity makes nearly all of the torque
+    name: ClassVar[str] = "static"
 
 
 # s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7 on [0, 1], whose jerk is zero at both ends: peaks of s'
@@ -281,7 +267,6 @@ class RandomWaypoints:
     joints: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Raise UsageError for settings out of range."""
         if not (self.duration > self.rest >= 0 and self.move > 0):
             raise UsageError(f"{self}: required are 0 <= rest < duration and a positive move.")
         if isinstance(self.joints, str) or not all(isinstance(j, str) for j in self.joints):

@@ -130,20 +130,7 @@ class Search:
         low, high = self.evaluation.space.limits()
         C = np.clip(C, low, high)
         box = np.maximum(low, C - radius * scale), np.minimum(high, C + radius * scale)
-        end = self._restored(self._minimised(C, scale, box, sharpness, iterations), sharpness)
-        # A penalty only ranks the ends of searches; the search itself has constraints.
-        over = max(self.evaluation.largest_use(end) - 1.0, 0.0)
-        return self.evaluation.criterion_value(end) + 100 * over, end
-
-    def _minimised(
-        self,
-        C: Array,
-        scale: Array,
-        box: tuple[Array, Array],
-        sharpness: float,
-        iterations: int,
-    ) -> Array:
-        """Return the coefficients (m, k) at the end of SLSQP, started at C."""
+        # The coefficients (m, k) at the end of SLSQP, started at C
         start = (C / scale).ravel()
         low, high = (edge / scale for edge in box)
 
@@ -169,7 +156,10 @@ class Search:
             bounds=scipy.optimize.Bounds(low.ravel(), high.ravel()),
             options={"maxiter": iterations, "ftol": 1e-5 * unit},  # type: ignore[call-overload]
         )
-        return unscaled(result.x)
+        end = self._restored(unscaled(result.x), sharpness)
+        # A penalty only ranks the ends of searches; the search itself has constraints.
+        over = max(self.evaluation.largest_use(end) - 1.0, 0.0)
+        return self.evaluation.criterion_value(end) + 100 * over, end
 
     def _restored(self, C: Array, sharpness: float, aim: float = 0.995) -> Array:
         """Return the nearest coefficients within the limits, by Newton steps of least norm; the

@@ -3,10 +3,9 @@ with symbols of lengths, single parameters first, values and the signs that no b
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -25,15 +24,11 @@ from sysid_bench.identifiability.feasible_error import check_bound, feasible_err
 from sysid_bench.models.dh_robot import mjcf_of
 from sysid_bench.models.dh_table import read_table
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, BaseMap
 
 LARGEST_VALUE: Final = 1e12
 """Size, in SI units, up to which a number is taken for a base parameter."""
-
-SUM: Final = re.compile(" [+-] ")
-"""Sign of a coefficient that is a sum, and needs brackets."""
 
 
 def base_table(
@@ -51,7 +46,11 @@ def base_table(
     """
     chosen = robot.manifest.terms if terms is None else tuple(terms)
     unknowns = task_of(robot, "robot", chosen).parameters
-    left_out = _zero(robot.manifest, zero, unknowns)
+    usual = () if robot.manifest.paper is None else robot.manifest.paper.zero
+    left_out = usual if zero is None else tuple(zero)
+    for name in left_out:
+        if name not in unknowns:
+            raise unknown_name("parameter to be zero", name, unknowns)
     parameters = tuple(name for name in _ordered(robot, unknowns) if name not in left_out)
     base = base_map(structural_factor(robot, parameters), parameters)
     bodies = unknown_bodies(robot)
@@ -85,46 +84,26 @@ def _rows(robot: RobotModel, base: BaseMap) -> list[dict[str, Any]]:
     rows = []
     for terms, symbols in zip(base_expressions(base), _symbols(robot, base), strict=True):
         known = {name: symbols[name] for name in terms if name in symbols}
-        rows.append(
-            {
-                "terms": terms,
-                "symbols": known,
-                "numbers": expression(terms),
-                "expression": _expression(terms, known),
-            }
-        )
+        texts = {"numbers": expression(terms), "expression": _expression(terms, known)}
+        rows.append({"terms": terms, "symbols": known, **texts})
     return rows
 
 
-def _zero(
-    manifest: Manifest, zero: Sequence[str] | None, parameters: Sequence[str]
-) -> tuple[str, ...]:
-    """The parameters that count as zero; UsageError for any other name."""
-    usual = () if manifest.paper is None else manifest.paper.zero
-    chosen = usual if zero is None else tuple(zero)
-    for name in chosen:
-        if name not in parameters:
-            raise unknown_name("parameter to be zero", name, parameters)
-    return chosen
-
-
 def _ordered(robot: RobotModel, unknowns: Sequence[str]) -> tuple[str, ...]:
-    """Parameters (p,), body after body as the paper has them, joint terms last.
+    """Parameters (p,), body after body as the paper has them, joint terms last; UsageError for a
+    body that the robot lacks.
 
     The order decides which parameters become pivots: those of the links that come last.
     """
     bodies = {body.name: body.columns for body in unknown_bodies(robot)}
-    columns = [column for name in _body_order(robot.manifest, bodies) for column in bodies[name]]
-    return tuple(dict.fromkeys([*columns, *unknowns]))
-
-
-def _body_order(manifest: Manifest, bodies: Iterable[str]) -> list[str]:
-    """Names of bodies, those of the paper first; UsageError for a name that the robot lacks."""
-    first = () if manifest.paper is None else manifest.paper.order
+    paper = robot.manifest.paper
+    first = () if paper is None else paper.order
     for name in first:
         if name not in bodies:
-            raise UsageError(f"{manifest.name}: paper.order: {unknown_name('body', name, bodies)}")
-    return list(dict.fromkeys([*first, *bodies]))
+            error = unknown_name("body", name, bodies)
+            raise UsageError(f"{robot.manifest.name}: paper.order: {error}")
+    columns = [column for name in dict.fromkeys([*first, *bodies]) for column in bodies[name]]
+    return tuple(dict.fromkeys([*columns, *unknowns]))
 
 
 def _symbols(robot: RobotModel, base: BaseMap) -> list[dict[str, str]]:
@@ -134,13 +113,20 @@ def _symbols(robot: RobotModel, base: BaseMap) -> list[dict[str, str]]:
     expression of the lengths gives its value in all of them.
     """
     found: list[dict[str, str]] = [{} for _ in range(base.rank)]
-    table = _length_table(robot.manifest)
-    if table is None:
+    manifest, dh = robot.manifest, robot.manifest.dh
+    if dh is None or manifest.manifest_file is None:
         return found
-    sets = random_values(read_table(table).symbols)
-    maps = []
+    table = manifest.manifest_file.parent / dh.table
+    if not read_table(table).symbols:
+        return found
+    sets, maps = random_values(read_table(table).symbols), []
+    massless = [body.removeprefix("link") for body in manifest.massless]
     for lengths in sets:
-        R = structural_factor(_with_lengths(robot, table, lengths), base.parameters)
+        text = mjcf_of(
+            read_table(table, lengths), robot.name, dh.convention, dh.frames, dh.base,
+            gravity=robot.tree.gravity.tolist(), massless=massless,
+        )  # fmt: skip
+        R = structural_factor(load_robot(replace(manifest, text=text)), base.parameters)
         # R = R_pivots K: a QR of its own could choose other pivots at other lengths.
         maps.append(np.linalg.lstsq(R[:, base.pivots], R, rcond=None)[0])
     symbol = cache(partial(symbolic_coefficients, lengths=sets))
@@ -152,32 +138,12 @@ def _symbols(robot: RobotModel, base: BaseMap) -> list[dict[str, str]]:
     return found
 
 
-def _length_table(manifest: Manifest) -> Path | None:
-    """The kinematic table of a robot, where it has symbols of lengths."""
-    if manifest.dh is None or manifest.manifest_file is None:
-        return None
-    table = manifest.manifest_file.parent / manifest.dh.table
-    return table if read_table(table).symbols else None
-
-
-def _with_lengths(robot: RobotModel, table: Path, lengths: Mapping[str, float]) -> RobotModel:
-    """The robot of the same kinematic table with other lengths."""
-    dh = robot.manifest.dh
-    assert dh is not None
-    massless = [body.removeprefix("link") for body in robot.manifest.massless]
-    text = mjcf_of(
-        read_table(table, lengths), robot.name, dh.convention, dh.frames, dh.base,
-        gravity=robot.tree.gravity.tolist(), massless=massless,
-    )  # fmt: skip
-    return load_robot(replace(robot.manifest, text=text))
-
-
 def _expression(terms: Mapping[str, float], symbols: Mapping[str, str]) -> str:
     """A sum with symbols of lengths before the parameters, where they are known."""
     words = []  # "- 0.5 link2.m", "+ (a1 + a2) link2.m", "+ link2.m"
     for name, value in terms.items():
         factor = symbols.get(name, f"{value:.4g}")
-        if SUM.search(factor):
+        if re.search(" [+-] ", factor):  # a sum needs brackets
             words.append(f"+ ({factor}) {name}")
             continue
         sign, size = ("-", factor[1:]) if factor.startswith("-") else ("+", factor)

@@ -49,71 +49,55 @@ def cell_data(argument: Mapping[str, Any], row: Row) -> CellData:
             "measured and predicted torques."
         )
     prepared = prepare_simulated(spec, loaded)
+    problem, model, recording = prepared.problem, prepared.robot, prepared.experiment.recording
     try:
         method = estimator_of(argument["estimators"][0])
-        estimate = identify(method, prepared.problem, prepared.experiment)
+        estimate = identify(method, problem, prepared.experiment)
     except Exception as error:  # of a plug-in: the picture shows the data without an estimate
         estimate = Estimate(status="failed", reason=f"{type(error).__name__}: {error}")
-    return _collect(row, prepared, loaded, estimate)
-
-
-def _collect(
-    row: Row, prepared: ExperimentData[SimulatedSource], loaded: LoadedRobot, estimate: Estimate
-) -> CellData:
-    problem, model = prepared.problem, prepared.robot
-    recording = prepared.experiment.recording
+    beta, predicted = base_parameters(estimate), None
+    if beta is not None:  # torque (N, rows) of the estimate and of the known parts
+        blocks = prepared.experiment.regress(recording.motion)
+        predicted = np.concatenate([block @ beta for block in blocks]) + prepared.source.known
+    gap_map, gap_columns = _gap(loaded, prepared)
     positions, quaternions = body_frames(model, recording.motion.q)
-    r = problem.base.rank
-    signals = (*model.torque_rows, *recording.wrench_rows)
-    columns = [signals.index(row) for row in problem.rows]
-    # MuJoCo counts the world as body 0.
-    parents = [int(model.mj.body_parentid[b]) - 1 for b in range(1, model.mj.nbody)]
+    r, signals = problem.base.rank, (*model.torque_rows, *recording.wrench_rows)
     return CellData(
         row=row,
         motion=recording.motion,
-        measured=measured_signals(recording)[:, columns],
-        predicted=_predicted(prepared, estimate),
+        measured=measured_signals(recording)[:, [signals.index(name) for name in problem.rows]],
+        predicted=predicted,
         rows=problem.rows,
         singular_values=np.linalg.svd(stacked_factor(problem)[:r, :r], compute_uv=False),
-        **_gap(loaded, prepared),
+        gap_map=gap_map,
+        gap_columns=gap_columns,
         estimate=estimate,
         base=problem.base,
         bodies=model.body_names,
-        parents=tuple(parents),
+        # MuJoCo counts the world as body 0.
+        parents=tuple(int(model.mj.body_parentid[b]) - 1 for b in range(1, model.mj.nbody)),
         positions=positions,
         quaternions=quaternions,
         shapes=body_shape(model),
         curves=estimate_curves(prepared),
-        joints={
-            joint.dofs[0]: (joint.qadr, joint.vadr)
-            for joint in model.joints
-            if joint.kind in ("hinge", "slide")
-        },
+        joints={j.dofs[0]: (j.qadr, j.vadr) for j in model.joints if len(j.dofs) == 1},
     )
 
 
-def _gap(loaded: LoadedRobot, prepared: ExperimentData[SimulatedSource]) -> dict[str, Any]:
+def _gap(
+    loaded: LoadedRobot, prepared: ExperimentData[SimulatedSource]
+) -> tuple[Array, tuple[str, ...]]:
     """Differences of our regressor from Pinocchio's on the measured rows, and column names."""
     robot, cuts, check = prepared.robot, prepared.source.task.cuts, loaded.check
     if not cuts:
         # The cross-check of the robot has all rows; with a sensor there are other ones.
         rows = [robot.rows.index(row) for row in prepared.problem.rows]
-        return {"gap_map": check.gap_map[rows], "gap_columns": check.columns}
+        return check.gap_map[rows], check.columns
     motion = random_states(robot, 5, np.random.default_rng(0))
     base = robot.body_names[cuts[0].body]
     ours = subtree_regressor(robot, cuts[0], motion).base_wrench(base)
     theirs, _ = pinocchio_wrench_regressor(robot, cuts[0], motion, base)
-    return {"gap_map": np.abs(ours - theirs.Y).max(axis=0), "gap_columns": theirs.columns}
-
-
-def _predicted(prepared: ExperimentData[SimulatedSource], estimate: Estimate) -> Array | None:
-    """Torque (N, rows) of the estimate and of the known parts along the measured motion."""
-    beta = base_parameters(estimate)
-    if beta is None:
-        return None
-    blocks = prepared.experiment.regress(prepared.experiment.recording.motion)
-    predicted = np.concatenate([block @ beta for block in blocks])
-    return np.asarray(predicted + prepared.source.known)
+    return np.abs(ours - theirs.Y).max(axis=0), theirs.columns
 
 
 SIZE: Final = 4.0 * float(np.finfo(float).eps)
@@ -123,29 +107,28 @@ SIZE: Final = 4.0 * float(np.finfo(float).eps)
 def repeat_cells(
     argument: Mapping[str, Any], channel: JobChannel | None = None
 ) -> dict[str, list[Row]]:
-    """Answers of the estimators of `argument["job"]` (see harness/job.py) by cell: to the data of
-    their experiment, then to `argument["repeats"]` copies with other last bits (seeds 0, 1, ...).
+    """Status, end of the iterations and scores of the estimators of `argument["job"]` (see
+    harness/job.py) by cell: for the data of their experiment, then for `argument["repeats"]` copies
+    with other last bits (seeds 0, 1, ...).
 
     Raises UnsupportedError or UsageError for an experiment that cannot be made.
     """
-    spec, loaded = load_experiment(argument["job"])
-    data = prepare(spec, loaded)
+    data = prepare(*load_experiment(argument["job"]))
     copies = [data.experiment]
     copies += [near_experiment(data.experiment, seed) for seed in range(argument["repeats"])]
+
+    def answer(entry: Mapping[str, Any], given: Experiment) -> Row:
+        try:
+            method = estimator_of(entry)
+            estimate = identify(method, given.problem, given)
+            scores = data.score(method, estimate)
+        except Exception as error:  # of a plug-in, as in a run
+            return {"status": status_of(error), "reason": reason_of(error)}
+        row = {"status": estimate.status, **fit_fields(estimate)}
+        return dict(plain(row | data.figures | scores))
+
     entries = argument["job"]["estimators"]
-    return {entry["cell"]: [_answer(entry, data, copy) for copy in copies] for entry in entries}
-
-
-def _answer(entry: Mapping[str, Any], data: ExperimentData[Any], given: Experiment) -> Row:
-    """Status, end of the iterations and scores of a method on a copy of its data."""
-    try:
-        method = estimator_of(entry)
-        estimate = identify(method, given.problem, given)
-        scores = data.score(method, estimate)
-    except Exception as error:  # of a plug-in, as in a run
-        return {"status": status_of(error), "reason": reason_of(error)}
-    row = {"status": estimate.status, **fit_fields(estimate)}
-    return dict(plain(row | data.figures | scores))
+    return {entry["cell"]: [answer(entry, copy) for copy in copies] for entry in entries}
 
 
 def near_experiment(experiment: Experiment, seed: int) -> Experiment:

@@ -6,7 +6,7 @@ import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import LONGEST_TEXT, SysidBenchError, UsageError, reason_of, status_of
@@ -28,16 +28,6 @@ from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.version_fields import version_fields
 
 
-def plugin_metrics(argument: Mapping[str, Any], cell: MetricInput) -> Row:
-    """Row fields of `argument["metrics"]` ({name, spec} each, see harness/job.py); empty values
-    where the estimator gave no estimate."""
-    entries = argument.get("metrics", ())
-    if base_parameters(cell.estimate) is None:
-        return {entry["name"]: None for entry in entries}
-    makers = {entry["name"]: partial(build, "metric", entry["spec"]) for entry in entries}
-    return metric_fields(makers, cell)
-
-
 def prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentData[Any]:
     """The data, problem and scoring of a specification.
 
@@ -45,9 +35,6 @@ def prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentData[Any]:
     """
     run = prepare_simulated if spec.log is None else prepare_recorded
     return run(spec, loaded)
-
-
-_ERRORS: Final = ("rmse_train", "rmse_test", "torque_error")
 
 
 def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
@@ -98,9 +85,9 @@ def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     if code["cells"]:
         read_package_files()  # once, before the forks and the time limits of their cells
     for entry in estimators:
-        is_isolated, header = entry["cell"] in code["cells"], headers[entry["cell"]]
+        is_isolated, header = entry["cell"] in code["cells"], headers[entry["cell"]] | shared
         cell = _PreparedCell(
-            argument, entry, prepared, header | shared | seconds, code["data"] or is_isolated
+            argument, entry, prepared, header | seconds, code["data"] or is_isolated
         )
         channel.start_cell(entry["cell"])
         emit = cell.emit_isolated if is_isolated else cell.emit
@@ -119,9 +106,16 @@ class _PreparedCell:
     names_sources: bool
 
     def emit(self, channel: JobChannel) -> None:
-        """Compute the row in this process."""
+        """Compute the row in this process; an exception of a plug-in is a failed row."""
         peak = MemoryUse()
-        row = _result(self.argument, self.entry, self.prepared)
+        try:
+            row = self._explained(self._scored())
+        except BaseException as error:  # Ctrl-C of a user reaches the supervisor alone
+            row = {"status": status_of(error), "reason": reason_of(error)}
+            if not isinstance(error, SysidBenchError):
+                lines = [line[:LONGEST_TEXT] for line in traceback.format_exception(error)]
+                row["traceback"] = "".join(lines)
+            row = self._explained(row | self.prepared.fields)
         sources = {"sources": loaded_sources()} if self.names_sources else {}
         channel.write(self.header | row | sources | usage_fields(peak))
 
@@ -131,8 +125,52 @@ class _PreparedCell:
         cell = self.entry["cell"]
         death = channel.run_process(self.emit, {cell: self.header})
         if death is not None and cell in channel.cells:
-            row = _explained(fields | usage_fields(None) | death.fields, self.prepared)
+            row = self._explained(fields | usage_fields(None) | death.fields)
             channel.write(self.header | row)
+
+    def _explained(self, row: Row) -> Row:
+        """The row as JSON values; the reason of a failure names what the data do not excite."""
+        warning = "" if row["status"] == "ok" else self.prepared.source.warning
+        if warning:
+            row = row | {"reason": f"{row['reason']} {warning}".strip()}
+        return dict(plain(row))
+
+    def _scored(self) -> Row:
+        """Status, scores and parameters of the estimate; what `[[paper]]` entries need is stored
+        beside it."""
+        prepared, method = self.prepared, estimator_of(self.entry)
+        estimate = identify(method, prepared.problem, prepared.experiment)
+        stats = dict(estimate.stats)
+        row: Row = {
+            "status": estimate.status,
+            "reason": estimate.reason,
+            "seconds": stats.pop("seconds"),
+            "seconds_cpu": stats.pop("seconds_cpu"),
+            **fit_fields(estimate),
+        }
+        scores = prepared.score(method, estimate)
+        errors = ("rmse_train", "rmse_test", "torque_error")
+        bad = [name for name in errors if not math.isfinite(scores.get(name) or 0.0)]
+        if row["status"] == "ok" and bad:
+            # An estimate whose errors overflow predicts no torque, whatever it claims.
+            reason = f"the estimate gives no finite {' and '.join(bad)}; {row['reason']}"
+            row |= {"status": "failed", "reason": reason.rstrip("; ")}
+        write_paper_data(self.argument, self.entry["cell"], estimate, prepared)
+        row |= scores | prepared.fields | {"stats": stats}
+        score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})
+        cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
+        # Metrics of plug-ins ({name, spec} each, see harness/job.py); empty without an estimate.
+        entries = self.argument.get("metrics", ())
+        metrics: Row = {entry["name"]: None for entry in entries}
+        if base_parameters(estimate) is not None:
+            makers = {one["name"]: partial(build, "metric", one["spec"]) for one in entries}
+            metrics = metric_fields(makers, cell)
+        taken = sorted((metrics.keys() - {REASONS}) & row.keys())
+        if taken:
+            raise UsageError(
+                f"The metric name {taken[0]!r} is a field of rows already; choose another."
+            )
+        return row | metrics
 
 
 def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, LoadedRobot]:
@@ -174,63 +212,3 @@ def estimator_of(estimator: Mapping[str, Any]) -> Any:
     """The estimator plug-in of an entry of `argument["estimators"]`."""
     settings = {key: value for key, value in estimator.items() if key not in ("cell", "label")}
     return build("estimator", settings)
-
-
-def _result(
-    argument: Mapping[str, Any], estimator: Mapping[str, Any], prepared: ExperimentData[Any]
-) -> Row:
-    """Status, scores and parameters of one estimator; an exception of a plug-in is a failed row."""
-    try:
-        return _explained(_scored(argument, estimator, prepared), prepared)
-    except BaseException as error:  # Ctrl-C of a user reaches the supervisor alone
-        row: Row = {"status": status_of(error), "reason": reason_of(error)}
-        if not isinstance(error, SysidBenchError):
-            lines = [line[:LONGEST_TEXT] for line in traceback.format_exception(error)]
-            row["traceback"] = "".join(lines)
-        return _explained(row | prepared.fields, prepared)
-
-
-def _scored(
-    argument: Mapping[str, Any], estimator: Mapping[str, Any], prepared: ExperimentData[Any]
-) -> Row:
-    """Fields of a row from the estimate; what `[[paper]]` entries need is stored beside it."""
-    method = estimator_of(estimator)
-    estimate = identify(method, prepared.problem, prepared.experiment)
-    stats = dict(estimate.stats)
-    row: Row = {
-        "status": estimate.status,
-        "reason": estimate.reason,
-        "seconds": stats.pop("seconds"),
-        "seconds_cpu": stats.pop("seconds_cpu"),
-        **fit_fields(estimate),
-    }
-    scores = prepared.score(method, estimate)
-    score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})
-    cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
-    row |= _unusable(row, scores)
-    write_paper_data(argument, estimator["cell"], estimate, prepared)
-    row |= scores | prepared.fields | {"stats": stats}
-    metrics = plugin_metrics(argument, cell)
-    taken = sorted((metrics.keys() - {REASONS}) & row.keys())
-    if taken:
-        raise UsageError(
-            f"The metric name {taken[0]!r} is a field of rows already; choose another."
-        )
-    return row | metrics
-
-
-def _unusable(row: Row, scores: Row) -> Row:
-    """Status of an estimate whose errors overflow: it predicts no torque, whatever it claims."""
-    bad = [name for name in _ERRORS if not math.isfinite(scores.get(name) or 0.0)]
-    if row["status"] != "ok" or not bad:
-        return {}
-    reason = f"the estimate gives no finite {' and '.join(bad)}"
-    return {"status": "failed", "reason": f"{reason}; {row['reason']}".rstrip("; ")}
-
-
-def _explained(row: Row, prepared: ExperimentData[Any]) -> Row:
-    """The row as JSON values; the reason of a failure names what the data do not excite."""
-    warning = "" if row["status"] == "ok" else prepared.source.warning
-    if warning:
-        row = row | {"reason": f"{row['reason']} {warning}".strip()}
-    return dict(plain(row))

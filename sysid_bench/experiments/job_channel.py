@@ -61,12 +61,7 @@ class JobChannel(Protocol):
         """
 
 
-_STATUS = Path("/proc/self/status")
-
-
-_CLEAR = Path("/proc/self/clear_refs")
-
-
+_STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 _RESET_PEAK = "5"
 
 

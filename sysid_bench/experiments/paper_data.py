@@ -13,6 +13,7 @@ import numpy as np
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.base_table import base_table
 from sysid_bench.experiments.experiment_data import ExperimentData
+from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.experiments.simulated.wrench_score import subtree_parameters
 from sysid_bench.identifiability.base_expressions import base_expressions
@@ -21,40 +22,32 @@ from sysid_bench.identification.linear.least_squares import dense_rows, residual
 from sysid_bench.models.dh_table import paper_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.models.robot import Joint, RobotModel
+from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import Array, Curve, Estimate, Problem, Trajectory
 
-POINTS = 1000
+POINTS: Final = 1000
 """Samples of a curve at most, about: more cannot be seen in print."""
 
 
 def motion_curves(robot: RobotModel, motion: Trajectory) -> tuple[Curve, ...]:
     """Return position and velocity (rad, m, /s) of each hinge and slide that has coordinates of its
     own, with their limits where these are stated: Fig. 5 of Fontanelli et al. (2017)."""
-    step = max(len(motion) // POINTS, 1)
-    thin = Trajectory(motion.t[::step], motion.q[::step], motion.v[::step], motion.a[::step])
-    moving = set(robot.torque_dofs)
-    return tuple(
-        curve
-        for joint in robot.joints
-        if joint.kind in ("hinge", "slide") and joint.vadr in moving
-        for curve in _curves(robot, joint, thin)
-    )
-
-
-def _curves(robot: RobotModel, joint: Joint, motion: Trajectory) -> Iterator[Curve]:
-    limits, k = robot.limits, joint.vadr
-    unit = "rad" if joint.kind == "hinge" else "m"
-    q, v = motion.q[:, joint.qadr], motion.v[:, k]
-    yield Curve(joint.name, motion.t, {"": q}, unit, _finite(limits.q_low[k], limits.q_high[k]))
-    yield Curve(joint.name, motion.t, {"": v}, f"{unit}/s", _finite(-limits.v[k], limits.v[k]))
-
-
-def _finite(low: float, high: float) -> tuple[float, float] | None:
-    """The limits, None where they are not stated."""
-    return (float(low), float(high)) if np.isfinite(high - low) else None
+    thin, limits = sampled_motion(motion, max(len(motion) // POINTS, 1)), robot.limits
+    curves = []
+    for joint in robot.joints:
+        k = joint.vadr
+        if joint.kind not in ("hinge", "slide") or k not in robot.torque_dofs:
+            continue
+        unit = "rad" if joint.kind == "hinge" else "m"
+        for x, low, high, of in (
+            (thin.q[:, joint.qadr], limits.q_low[k], limits.q_high[k], unit),
+            (thin.v[:, k], -limits.v[k], limits.v[k], f"{unit}/s"),
+        ):
+            stated = (float(low), float(high)) if np.isfinite(high - low) else None
+            curves.append(Curve(joint.name, thin.t, {"": x}, of, stated))
+    return tuple(curves)
 
 
 HISTORY: Final = 400
@@ -71,65 +64,47 @@ def estimate_curves(prepared: ExperimentData[Any]) -> tuple[Curve, ...]:
     problem, source = prepared.problem, prepared.source
     if problem.prior is None or problem.samples == 0:
         return ()
-    if isinstance(source, RecordedSource):
-        sub_tree = source.builder.unknowns.sub_tree
-        return () if sub_tree is None else _recorded_curves(prepared, sub_tree.cuts[0])
-    if not source.task.definition.identifies_sub_tree:
-        return ()
-    track = _track_of(problem)
-    kept = _samples(prepared.experiment.recording.motion, track.indices)
-    true = source.truth.theta
-    return (
-        *_torques(prepared, source.task.cuts[0], track, kept, {"true": true}, {}),
-        _convergence(problem, track, problem.base.K @ true, kept.t),
-    )
-
-
-def _recorded_curves(
-    prepared: ExperimentData[RecordedSource], cut: SensorSubtree
-) -> tuple[Curve, ...]:
-    """Curves of a recording: the parameters converge to the last estimate, as no truth is known."""
-    log = prepared.source.training[0]
-    problem = prepared.problem.motions[0] if prepared.problem.motions else prepared.problem
-    track = _track_of(problem)
-    at = track.indices * log.rows.step
-    kept = _samples(log.recording.motion, at)
+    known: dict[str, Array] = {}
     measured: dict[str, Array] = {}
-    if log.log.description.has_torque:
-        names, tau = log.robot.torque_rows, log.recording.tau[at]
-        measured = {row: tau[:, names.index(row)] for row in log.log.joints}
+    if isinstance(source, RecordedSource):
+        sub_tree, log = source.builder.unknowns.sub_tree, source.training[0]
+        if sub_tree is None:
+            return ()
+        problem = problem.motions[0] if problem.motions else problem
+        cut, track = sub_tree.cuts[0], _track_of(problem)
+        motion, at = log.recording.motion, track.indices * log.rows.step
+        if log.log.description.has_torque:
+            names, tau = log.robot.torque_rows, log.recording.tau[at]
+            measured = {row: tau[:, names.index(row)] for row in log.log.joints}
+        true = track.beta[-1]  # parameters converge to the last estimate, as no truth is known
+    else:
+        if not source.task.definition.identifies_sub_tree:
+            return ()
+        cut, track = source.task.cuts[0], _track_of(problem)
+        motion, at = prepared.experiment.recording.motion, track.indices
+        known = {"true": source.truth.theta}
+        true = problem.base.K @ source.truth.theta
+    kept = Trajectory(motion.t[at], motion.q[at], motion.v[at], motion.a[at])
     return (
-        *_torques(prepared, cut, track, kept, {}, measured),
-        _convergence(problem, track, track.beta[-1], kept.t),
+        *_torques(prepared, cut, track, kept, known, measured),
+        _convergence(problem, track, true, kept.t),
     )
-
-
-def _samples(motion: Trajectory, indices: Array) -> Trajectory:
-    """Some samples of a motion."""
-    return Trajectory(motion.t[indices], motion.q[indices], motion.v[indices], motion.a[indices])
 
 
 def _track_of(problem: Problem) -> ParameterCurves:
     """Recursive least squares over the samples of a problem, from its prior."""
     assert problem.prior is not None
     W, f = dense_rows(problem)
-    K, step = problem.base.K, max(len(f) // HISTORY, 1)
-    # beta = K theta with independent theta: the covariance is K diag(std^2) K'.
-    spread = (K * problem.prior.std**2) @ K.T
-    return RecursiveEstimator(every=step).run(
-        W, f, _noise(problem), K @ problem.prior.theta, spread
-    )
-
-
-def _noise(problem: Problem) -> Array:
-    """Standard deviation (m,) of each row: RMS residual of the best fit."""
-    r = problem.base.rank
+    K, r, step = problem.base.K, problem.base.rank, max(len(f) // HISTORY, 1)
+    # Noise (m,) of each row: RMS residual of the best fit. Exact data leave rounding errors, whose
+    # size is not a weight.
     R = np.vstack([np.zeros((1, r + 1)), *(spread(factor, r) for factor in problem.factors)])
     beta = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0]
-    size = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
-    left = residual_norm(problem, beta)
-    # Exact data leave rounding errors, whose size is not a weight.
-    return np.asarray(np.maximum(left, 1e-6 * max(size.max(), 1e-12)) / np.sqrt(problem.samples))
+    size = max(max(float(np.linalg.norm(factor.R[:, -1])) for factor in problem.factors), 1e-12)
+    noise = np.maximum(residual_norm(problem, beta), 1e-6 * size) / np.sqrt(problem.samples)
+    # beta = K theta with independent theta: the covariance is K diag(std^2) K'.
+    covariance = (K * problem.prior.std**2) @ K.T
+    return RecursiveEstimator(every=step).run(W, f, noise, K @ problem.prior.theta, covariance)
 
 
 def _torques(
@@ -202,33 +177,27 @@ def _store(
     prepared: ExperimentData[Any],
 ) -> None:
     name, shown = entry["name"], entry["show"]
-    if shown == "model":
-        _write_json(folder, name, _model(_manifest_of(argument)))
-        return
-    if shown in ("motion", "online"):
-        np.savez_compressed(folder / f"{name}.npz", **_curve_arrays(shown, prepared))
-        return
-    if not isinstance(prepared.source, RecordedSource) or estimate.beta is None:
-        raise UsageError(f"it shows {shown} of recordings; select a cell of a [[log]].")
-    if shown == "base-parameters":
-        table = _base_parameters(_manifest_of(argument), prepared, estimate.beta)
-        _write_json(folder, name, table)
-        return
-    torque = predict_log(prepared, estimate.beta, entry["test"])
-    np.savez_compressed(
-        folder / f"{name}.npz",
-        rows=torque.problem.rows,
-        units=[kind.removeprefix("joint ") for kind in torque.problem.kinds],
-        t=torque.t,
-        measured=torque.measured,
-        predicted=torque.predicted,
-    )
-
-
-def _manifest_of(argument: Mapping[str, Any]) -> Manifest:
-    """The manifest of the robot as the suite names it, without the joints that logs lock."""
+    # The robot as the suite names it, without the joints that logs lock.
     places = [None if argument[k] is None else Path(argument[k]) for k in ("robots_dir", "folder")]
-    return find_manifest(argument["experiment"]["robot"], *places)
+    manifest = find_manifest(argument["experiment"]["robot"], *places)
+    if shown == "model":
+        _write_json(folder, name, _model(manifest))
+    elif shown in ("motion", "online"):
+        np.savez_compressed(folder / f"{name}.npz", **_curve_arrays(shown, prepared))
+    elif not isinstance(prepared.source, RecordedSource) or estimate.beta is None:
+        raise UsageError(f"it shows {shown} of recordings; select a cell of a [[log]].")
+    elif shown == "base-parameters":
+        _write_json(folder, name, _base_parameters(manifest, prepared, estimate.beta))
+    else:
+        torque = predict_log(prepared, estimate.beta, entry["test"])
+        np.savez_compressed(
+            folder / f"{name}.npz",
+            rows=torque.problem.rows,
+            units=[kind.removeprefix("joint ") for kind in torque.problem.kinds],
+            t=torque.t,
+            measured=torque.measured,
+            predicted=torque.predicted,
+        )
 
 
 def _curve_arrays(shown: str, prepared: ExperimentData[Any]) -> dict[str, Any]:

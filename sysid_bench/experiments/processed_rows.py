@@ -170,14 +170,20 @@ def pooled(problems: Sequence[Problem]) -> Problem:
     """
     if len(problems) == 1:
         return problems[0]
-    first = problems[0]
-    periods = {problem.period for problem in problems}
+    first, periods = problems[0], {problem.period for problem in problems}
+    samples = sum(problem.samples for problem in problems)
+    # RMS of the whole torque over all motions; unknown where one does not state it.
+    stated = [(p.samples, p.torque) for p in problems if p.torque is not None]
+    torque = None
+    if len(stated) == len(problems):
+        squares = np.sum([count * rms**2 for count, rms in stated], axis=0)
+        torque = np.asarray(np.sqrt(squares / max(samples, 1)))
     return replace(
         first,
         factors=tuple(row_factor(row) for row in zip(*(p.factors for p in problems), strict=True)),
         blocks=partial(_blocks, tuple(problems)),
-        samples=sum(problem.samples for problem in problems),
-        torque=_rms_torque(problems),
+        samples=samples,
+        torque=torque,
         period=first.period if len(periods) == 1 else 0,
         motions=tuple(problems),
     )
@@ -201,14 +207,3 @@ def row_factor(factors: Sequence[Factor]) -> Factor:
 def _blocks(problems: tuple[Problem, ...]) -> Iterator[RowBlock]:
     for problem in problems:
         yield from problem.blocks()
-
-
-def _rms_torque(problems: Sequence[Problem]) -> Array | None:
-    """RMS (rows,) of the whole torque over all motions; None where one does not state it."""
-    squares, samples = np.zeros(len(problems[0].rows)), 0
-    for problem in problems:
-        if problem.torque is None:
-            return None
-        squares += problem.samples * problem.torque**2
-        samples += problem.samples
-    return np.asarray(np.sqrt(squares / max(samples, 1)))

@@ -74,14 +74,11 @@ class ExperimentSpec:
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
         data = {field.name: getattr(self, field.name) for field in fields(self)}
-        for key in ("free_base", "sensor", "log", "pipeline", "candidate", "confidence", "content"):
-            if data[key] is None:  # ids are older than these fields
-                del data[key]
-        if not data["redrawn"]:
-            del data["redrawn"]
-        if data["motions"] == 1:
-            del data["motions"]
-        return data
+        # Ids are older than these fields, which are left out at their defaults.
+        later = {"redrawn": (), "motions": 1} | dict.fromkeys(
+            ("free_base", "sensor", "log", "pipeline", "candidate", "confidence", "content")
+        )
+        return {k: x for k, x in data.items() if k not in later or x != later[k]}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "ExperimentSpec":
@@ -108,6 +105,21 @@ MOTIONS, PLANT = "motions", "plant"
 
 REDRAWN: Final = "redrawn"
 """Key of a prior that is drawn again with each repeat; the other keys are spreads."""
+
+
+def checks_limits(excitation: Mapping[str, Any]) -> bool:
+    """True where a motion beyond a joint limit fails; False where its rows are marked by the field
+    `limits_broken`: { use = "file", file = "replay.csv", limits = "mark" }. The plug-in never sees
+    this setting. Raises UsageError for another word."""
+    written = excitation.get("limits", "refuse")
+    if written not in ("refuse", "mark"):
+        raise unknown_name("rule for limits of motions", str(written), ("refuse", "mark"))
+    return bool(written == "refuse")
+
+
+def without_limits(excitation: Mapping[str, Any]) -> dict[str, Any]:
+    """{use, settings} of an excitation as the plug-in is given them."""
+    return {key: value for key, value in excitation.items() if key != "limits"}
 
 
 NOISE_UNITS: Final = {
@@ -138,24 +150,21 @@ def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
     """
     if not isinstance(written, Mapping):
         raise UsageError(f"noise must be a table such as {{'tau': '0.5 %'}}; got {written!r}.")
-    noise = dict(_noise_level(key, value) for key, value in written.items())
-    noise = {key: value for key, value in noise.items() if value != 0.0}
+    noise = {}
+    for key, value in written.items():
+        if key not in NOISE_UNITS:
+            raise unknown_name("kind of noise", key, NOISE_UNITS)
+        share = key == "tau" and isinstance(value, str) and parse_quantity(value)[1] == "%"
+        number = quantity(value, "%" if share else NOISE_UNITS[key])
+        # A first-order autoregression with correlation 1 is a random walk, without finite variance.
+        below, most = (1.0, " and below 1") if key == "tau_correlation" else (inf, "")
+        if not 0 <= number < below:
+            raise UsageError(f"noise.{key} must be 0 or more{most}; got {value!r}.")
+        if number != 0.0:
+            noise["tau_relative" if share else key] = number
     if not {"tau", "tau_relative"} & set(noise):
         noise.pop("tau_correlation", None)
     return noise
-
-
-def _noise_level(key: str, written: Any) -> tuple[str, float]:
-    """Key and SI number of one entry of a [noise] table."""
-    if key not in NOISE_UNITS:
-        raise unknown_name("kind of noise", key, NOISE_UNITS)
-    share = key == "tau" and isinstance(written, str) and parse_quantity(written)[1] == "%"
-    number = quantity(written, "%" if share else NOISE_UNITS[key])
-    # A first-order autoregression with correlation 1 is a random walk, without finite variance.
-    below, most = (1.0, " and below 1") if key == "tau_correlation" else (inf, "")
-    if not 0 <= number < below:
-        raise UsageError(f"noise.{key} must be 0 or more{most}; got {written!r}.")
-    return "tau_relative" if share else key, number
 
 
 def normal_candidate(written: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -167,16 +176,13 @@ def normal_candidate(written: Mapping[str, Any]) -> dict[str, Any] | None:
     return normal or None
 
 
-PRIOR_UNITS: Final = {"com": "mm", "axes": "deg", "declared": "1"}
-"""Units of the keys of a prior that are not shares."""
-
-
 def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, Any]:
     """SI numbers of a prior: standard deviations as shares, in metres for com, in rad for axes."""
     if isinstance(written, str):
         return written
+    units = {"com": "mm", "axes": "deg", "declared": "1"}  # the other keys are shares
     normal = {
-        key: value if value == UNKNOWN else quantity(value, PRIOR_UNITS.get(key, "%"))
+        key: value if value == UNKNOWN else quantity(value, units.get(key, "%"))
         for key, value in written.items()
         if key != REDRAWN and value is not None
     }
@@ -205,7 +211,6 @@ SEALED: Final = "sealed"
 """Key of a plant: the SHA-256 of its seed in hexadecimal digits."""
 SEEDS: Final = "SYSID_BENCH_SEEDS"
 """Environment variable: a file with secret seeds, a line each."""
-_SHORTEST: Final = 32  # characters; a shorter seed could be found from its hash by trying
 
 
 def check_seed_hash(value: Any) -> None:
@@ -244,10 +249,11 @@ def _seeds(file: str) -> dict[str, str]:
         lines = read_text(Path(file)).split()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"{SEEDS}: {file!r} cannot be read ({error}).") from error
-    short = [number for number, line in enumerate(lines, 1) if len(line) < _SHORTEST]
+    # A shorter seed could be found from its hash by trying.
+    short = [number for number, line in enumerate(lines, 1) if len(line) < 32]
     if short:
         raise UsageError(
-            f"{SEEDS}: seed {short[0]} of {file!r} has fewer than {_SHORTEST} characters; make one "
+            f"{SEEDS}: seed {short[0]} of {file!r} has fewer than 32 characters; make one "
             "with: python -c 'import secrets; print(secrets.token_hex())'."
         )
     return {hashlib.sha256(line.encode()).hexdigest(): line for line in lines}

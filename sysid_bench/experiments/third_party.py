@@ -33,15 +33,14 @@ def third_party_parts(argument: Mapping[str, Any]) -> dict[str, Any]:
     `data`: True where their plug-ins make the data (motions, effects, pipelines, tasks, log
     readers, terms); `cells`: ids of those with an estimator or a metric of others.
     """
-    entries, has_metrics = argument["estimators"], bool(argument.get("metrics"))
-    return {
-        "data": any(not is_of_package(*plugin) for plugin in _data_plugins(argument)),
-        "cells": [
-            entry["cell"]
-            for entry in entries
-            if has_metrics or not is_of_package("estimator", entry["use"])
-        ],
-    }
+    has_metrics = bool(argument.get("metrics"))
+    foreign = (
+        entry["cell"]
+        for entry in argument["estimators"]
+        if has_metrics or not is_of_package("estimator", entry["use"])
+    )
+    makers = _data_plugins(argument)
+    return {"data": any(not is_of_package(*one) for one in makers), "cells": list(foreign)}
 
 
 def _data_plugins(argument: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -136,7 +135,7 @@ def loaded_sources() -> dict[str, str]:
             owners = {owner for entry in sys.path for owner in _owners(entry).get(top, ())}
             own = _required()
             sources |= {owner: version(owner) for owner in owners if _canonical(owner) not in own}
-        elif not (PACKAGE_FOLDER in path.parents or _standard_library() in path.parents):
+        elif not {PACKAGE_FOLDER, _standard_library()} & set(path.parents):
             sources[str(path)] = _state(path)
     return dict(sorted(sources.items()))
 
@@ -194,17 +193,15 @@ def _top_modules(distribution: Distribution) -> Iterable[str]:
     declared = (distribution.read_text("top_level.txt") or "").split()
     if declared:
         return declared
-    lines = (distribution.read_text("RECORD") or "").splitlines()
-    modules = set[str]()
-    for line in lines:
+    modules = set[str | None]()
+    for line in (distribution.read_text("RECORD") or "").splitlines():
         file = line.partition(",")[0]
         folder, slash, _ = file.partition("/")
-        # Files of other kinds, such as data, are of no module.
-        module = folder if slash and file.endswith(".py") else None
         if not slash:
-            module = inspect.getmodulename(file)
-        modules |= {module} if module else set()
-    return modules
+            modules.add(inspect.getmodulename(file))
+        elif file.endswith(".py"):  # files of other kinds, such as data, are of no module
+            modules.add(folder)
+    return filter(None, modules)
 
 
 @cache

@@ -15,9 +15,9 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.intervals import LEVEL
 from sysid_bench.experiments.simulated.composed_plant import (
     COMPOSED,
-    composed_plant,
     has_exact_motion,
     has_exact_positions,
+    has_sensor_errors,
     plant_entries,
     plant_name,
 )
@@ -83,7 +83,7 @@ def _simulated_size(suite: Suite) -> tuple[int, str]:
     for plant in axes.plant:
         simulations, noises, pipelines = axes.of(plant)
         kinds += len(axes.prior) * len(simulations) * len(noises) * len(pipelines)
-        if not (axes.redrawn or has_random_sensors(plant.spec)):
+        if not (axes.redrawn or has_sensor_errors(plant.spec)):
             exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in noises)
             played = sum(entry.use == "inverse" for entry in simulations)
             fixed += exact * given * played * len(pipelines)
@@ -105,18 +105,13 @@ def _product(sizes: Mapping[str, int]) -> str:
 def is_random(spec: ExperimentSpec) -> bool:
     """True where the repeats of an experiment differ from each other."""
     played = spec.log is None and has_exact_motion(spec)
-    drawn = bool(spec.redrawn) or has_random_sensors(spec.plant)
+    drawn = bool(spec.redrawn) or has_sensor_errors(spec.plant)
     return not played or drawn or bool(spec.noise) or is_random_prior(spec.prior)
 
 
 def is_random_prior(prior: str | Mapping[str, Any]) -> bool:
     """True for a normal prior that each repeat draws again."""
     return not isinstance(prior, str) and bool(prior.get(REDRAWN))
-
-
-def has_random_sensors(plant: Mapping[str, Any]) -> bool:
-    """True for a plant whose sensors have errors, which repeats may draw again."""
-    return plant["use"] == COMPOSED and composed_plant(plant).has_random_signals
 
 
 # --- Labels -------------------------------------------------------------------------------------

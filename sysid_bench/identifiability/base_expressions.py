@@ -132,8 +132,7 @@ def symbolic_coefficients(
     scale = float(np.abs(target).max())
     if scale == 0.0:
         return None
-    table = _monomials(lengths)
-    for terms, x in itertools.chain(_scaled(table), _sums(table)):
+    for terms, x in _candidates(_monomials(lengths)):
         if np.abs(x - target).max() <= TOLERANCE * scale:
             # Sum as text, a positive term first if there is one.
             (sign, first), *others = sorted(terms, reverse=True)
@@ -159,21 +158,13 @@ def _monomials(lengths: Sequence[Mapping[str, float]]) -> dict[str, Array]:
     return {text: np.array(values) for values, text in texts.items()}
 
 
-def _scaled(table: Mapping[str, Array]) -> Iterator[tuple[Terms, Array]]:
-    """Monomials with a numerical factor of either sign, the simplest factors first."""
+def _candidates(table: Mapping[str, Array]) -> Iterator[tuple[Terms, Array]]:
+    """Monomials with a numerical factor of either sign, the simplest factors first; then sums and
+    differences of two."""
     for factor, (text, x) in itertools.product(FACTORS, table.items()):
+        written = f"{factor:g}" if text == "1" else f"{factor:g} {text}"
         for sign in (1.0, -1.0):
-            yield ((sign, _times(factor, text)),), sign * factor * x
-
-
-def _sums(table: Mapping[str, Array]) -> Iterator[tuple[Terms, Array]]:
-    """Sums and differences of two monomials."""
+            yield ((sign, text if factor == 1.0 else written),), sign * factor * x
     for (one, x), (other, y) in itertools.combinations(table.items(), 2):
         for s, t in itertools.product((1.0, -1.0), repeat=2):
             yield ((s, one), (t, other)), s * x + t * y
-
-
-def _times(factor: float, text: str) -> str:
-    if factor == 1.0:
-        return text
-    return f"{factor:g}" if text == "1" else f"{factor:g} {text}"

@@ -58,6 +58,12 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     # The identity exactly, not up to rounding: printed base parameters begin with their pivot.
     K[:, pivots] = np.eye(len(pivots))
     near_degenerate = int((dropped > NOISE_FLOOR * largest).sum())
+    # D (near_degenerate, p) with |D theta| = |(R - R_p K) theta|: the remainder has no more
+    # directions than those that the rank drops, the rest of it is rounding.
+    D = np.zeros((0, R.shape[1]))
+    if near_degenerate:
+        _, rest, right = np.linalg.svd(R - R[:, pivots] @ K, full_matrices=False)
+        D = rest[:near_degenerate, None] * right[:near_degenerate]
     return BaseMap(
         K=K,
         pivots=pivots,
@@ -66,7 +72,7 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
         near_degenerate=near_degenerate,
         singular_values=values,
         row_space=Vt[:rank],
-        dropped=_dropped_factor(R, pivots, K, near_degenerate),
+        dropped=D,
     )
 
 
@@ -89,15 +95,6 @@ def left_out_torque(base: BaseMap, theta: Array) -> float:
     whole = float(np.linalg.norm(base.singular_values[: base.rank] * (base.row_space @ theta)))
     left_out = float(np.linalg.norm(base.dropped @ theta))
     return left_out / whole if whole > 0 else 0.0
-
-
-def _dropped_factor(R: Array, pivots: Array, K: Array, count: int) -> Array:
-    """D (count, p) with |D theta| = |(R - R_p K) theta|: the remainder has no more directions than
-    those that the rank drops, the rest of it is rounding."""
-    if count == 0:
-        return np.zeros((0, R.shape[1]))
-    _, values, Vt = np.linalg.svd(R - R[:, pivots] @ K, full_matrices=False)
-    return np.asarray(values[:count, None] * Vt[:count])
 
 
 def _left_to_right_pivots(R: Array, rank: int) -> Array:

@@ -110,15 +110,11 @@ def _signed(name: str) -> bool:
 def _semidefinite_rows(body: Body, index: Mapping[str, int], width: int) -> Array:
     """Rows (10, width) that map the unknowns to J in Clarabel's triangle format: the upper triangle
     by columns, off-diagonals times sqrt(2). Parameters that are not unknowns are zero."""
+    i, j = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
     # Off-diagonals count twice in tr(Q J) and once in the triangle: hence sqrt(2) on each side.
-    factor = np.where(_TRIANGLE[0] == _TRIANGLE[1], 1.0, np.sqrt(2.0))
-    triangles = pseudo_inertia(np.eye(10))[:, _TRIANGLE[0], _TRIANGLE[1]] * factor
+    triangles = pseudo_inertia(np.eye(10))[:, i, j] * np.where(i == j, 1.0, np.sqrt(2.0))
     rows = np.zeros((10, width))
     for column, triangle in zip(body.columns, triangles, strict=True):
         if column in index:
             rows[:, index[column]] = triangle
     return rows
-
-
-_TRIANGLE: Final = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
-"""Row and column indices (2, 10) of the upper triangle of a matrix (4, 4), column by column."""

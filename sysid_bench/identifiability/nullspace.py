@@ -59,7 +59,12 @@ def _across_joints(tree: Tree) -> Iterator[Array]:
     """Unobservable transfers (10 nb, t) from each link to its parent."""
     # The world is at index -1: it does not move, and only gravity acts through it.
     bodies = [*(link.body for link in tree.links), None]
-    reached = [(np.zeros((6, 0)), _gravity(tree))] * (len(tree.links) + 1)  # (L, F)
+    # Potential -g . h of a body at rest in the world, as a functional (10, 0 or 1).
+    g = tree.gravity[:, None]
+    potential = np.zeros((10, int(tree.gravity.any())))
+    if tree.gravity.any():
+        potential[1:4] = g / np.linalg.norm(g)
+    reached = [(np.zeros((6, 0)), potential)] * (len(tree.links) + 1)  # (L, F)
     for i, link in enumerate(tree.links):
         L, F = reached[link.parent]
         X = inertia_transform(link.R0, link.p0)
@@ -116,15 +121,6 @@ def _transfers(tree: Tree, body: int, parent: int | None, X: Array, phis: Array)
     return changes.reshape(10 * len(changes), phis.shape[1])
 
 
-def _gravity(tree: Tree) -> Array:
-    """Potential -g . h of a body at rest in the world, as a functional (10, 0 or 1)."""
-    if not tree.gravity.any():
-        return np.zeros((10, 0))
-    functional = np.zeros((10, 1))
-    functional[1:4, 0] = tree.gravity / np.linalg.norm(tree.gravity)
-    return functional
-
-
 def _twists(joint: TreeJoint) -> Array:
     """Twists [w; v] (6, dofs) of a joint at its reference, in the body frame."""
     if joint.kind == HINGE:
@@ -136,16 +132,13 @@ def _twists(joint: TreeJoint) -> Array:
     return np.vstack([axes, np.cross(joint.anchor, axes.T).T])
 
 
-def _spatial_inertias() -> Array:
-    """Spatial inertia I (10, 6, 6) of each unit phi, for twists [w; v]."""
-    out = np.zeros((10, 6, 6))
-    for k, phi in enumerate(np.eye(10)):
-        h = skew(phi[1:4])
-        out[k] = np.block([[inertia_matrix(phi[4:]), h], [-h, phi[0] * np.eye(3)]])
-    return out
-
-
-_INERTIAS: Final = _spatial_inertias()
+_INERTIAS: Final = np.array(
+    [
+        np.block([[inertia_matrix(phi[4:]), skew(phi[1:4])], [-skew(phi[1:4]), phi[0] * np.eye(3)]])
+        for phi in np.eye(10)
+    ]
+)
+"""Spatial inertia I (10, 6, 6) of each unit phi, for twists [w; v]."""
 
 
 def _closure(basis: Array, generators: list[Array]) -> Array:

@@ -80,11 +80,17 @@ def structural_subspaces(
     Y_n = subtree.Y_n @ basis
     wrench, values = row_space(Y_n)[0], row_space(subtree.Y_n)[1]
     factors = _DriveFactors(subtree, Y_n, subtree.Y_c @ basis)
-    chosen = _moving_bodies(robot, cut) if bases is None else bases
+    if bases is None:
+        # Bodies that joints move, the sensor's first; welded ones add no information.
+        moving = {cut.body, *(link.body for link in robot.tree.links)}
+        bases = tuple(robot.body_names[b] for b in cut.bodies if b in moving)
     wrenches, torques = {}, {}
-    for base in chosen:
+    for base in bases:
         wrenches[base] = basis @ row_space(subtree.wrench_transform(base) @ Y_n)[0]
-        torques[base] = basis @ factors.span(_proximal_dofs(robot, base))
+        # Degrees of freedom between the world and the base.
+        link = int(robot.tree.carrier[robot.body_names.index(base)])
+        proximal = set() if link < 0 else set(robot.tree.links[link].dofs.tolist())
+        torques[base] = basis @ factors.span(proximal)
     joints = {row: basis @ factors.span_of_drive(i) for i, row in enumerate(factors.drives.rows)}
     # Components of the wrench are those in the sensor frame, not at the root.
     to_sensor = np.zeros((6, 6))
@@ -167,19 +173,6 @@ class _DriveFactors:
 
     def _span(self, factors: Iterable[Array]) -> Array:
         return row_space(np.concatenate([np.zeros((1, self._Y_n.shape[-1])), *factors]))[0]
-
-
-def _proximal_dofs(robot: RobotModel, base: str) -> set[int]:
-    """Degrees of freedom between the world and the body `base`."""
-    body = robot.body_names.index(base)
-    link = int(robot.tree.carrier[body])
-    return set() if link < 0 else set(robot.tree.links[link].dofs.tolist())
-
-
-def _moving_bodies(robot: RobotModel, cut: SensorSubtree) -> tuple[str, ...]:
-    """Bodies of a sub-tree that joints move, the sensor's first; welded ones add no information."""
-    moving = {link.body for link in robot.tree.links}
-    return tuple(robot.body_names[b] for b in cut.bodies if b == cut.body or b in moving)
 
 
 def row_space(Y: Array, tolerance: float = RANK_TOLERANCE) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sysid_bench import package_folders
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.input_files import file_hash, is_folder, parse_toml, read_text
+from sysid_bench.input_files import file_hash, is_folder, read_toml
 from sysid_bench.models.data_sets import cache_folder
 
 
@@ -58,13 +58,9 @@ class Collection(_Table):
 def read_collection(file: Path) -> Collection:
     """Return the collection in a TOML file; raises UsageError with all its mistakes."""
     try:
-        return Collection.model_validate(parse_toml(read_text(file)))
-    except OSError as error:
-        raise UsageError(f"{file} cannot be read: {error.strerror or error}.") from error
+        return Collection.model_validate(read_toml(file, UsageError))
     except ValidationError as error:
         raise UsageError(f"{file}: {'; '.join(map(_line, error.errors()))}.") from error
-    except ValueError as error:
-        raise UsageError(f"{file} is not valid TOML: {error}.") from error
 
 
 def _line(problem: Any) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path, PurePosixPath
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Final, Literal
 from urllib.parse import quote
 
@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from sysid_bench import package_folders
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.input_files import file_hash, is_file, is_folder, parse_toml, read_text
+from sysid_bench.input_files import file_hash, is_file, is_folder, read_toml
 
 MIRROR: Final = "SYSID_BENCH_DATA"
 """Variable that names a folder with the files of data sets, as `fetch -o` writes it."""
@@ -154,14 +154,10 @@ class DataSet(_Table):
 def read_dataset(file: Path) -> DataSet:
     """Return the data set in a TOML file; raises UsageError with all its mistakes."""
     try:
-        found = DataSet.model_validate(parse_toml(read_text(file)))
-    except OSError as error:
-        raise UsageError(f"{file} cannot be read: {error.strerror or error}.") from error
+        found = DataSet.model_validate(read_toml(file, UsageError))
     except ValidationError as error:
         lines = "; ".join(_line(problem) for problem in error.errors())
         raise UsageError(f"{file}: {lines}.") from error
-    except ValueError as error:
-        raise UsageError(f"{file} is not valid TOML: {error}.") from error
     pairs = (*found.repeats, *((pair.empty, pair.loaded) for pair in found.payload))
     for name in chain(found.train, found.test, *pairs):
         if name not in found.motions:
@@ -176,20 +172,17 @@ def read_dataset(file: Path) -> DataSet:
     return found
 
 
-_TABLES: Final[Mapping[str, type[BaseModel]]] = {"file": DataFile, "payload": KnownPayload}
-_ADVICE: Final = {"licence": f"; write its SPDX name, or '{UNLICENSED}' where none is stated"}
-"""Continuation of the message on a missing key."""
-
-
 def _line(problem: Mapping[str, Any]) -> str:
     """Return one sentence for one error of pydantic."""
     key = ".".join(map(str, problem["loc"]))
     if problem["type"] == "extra_forbidden":
         *place, name = problem["loc"]
-        known = _TABLES.get(place[0], DataSet) if place else DataSet
+        tables: dict[str, type[BaseModel]] = {"file": DataFile, "payload": KnownPayload}
+        known = tables.get(place[0], DataSet) if place else DataSet
         return f"{key}: {unknown_name('key', str(name), known.model_fields)}".rstrip(".")
     if problem["type"] == "missing":
-        return f"{key} is missing{_ADVICE.get(key, '')}"
+        licence = f"; write its SPDX name, or '{UNLICENSED}' where none is stated"
+        return f"{key} is missing{licence if key == 'licence' else ''}"
     return f"{key}: {problem['msg'].removeprefix('Value error, ')}"
 
 
@@ -343,8 +336,6 @@ def find_motion(reference: str, folder: Path | None = None) -> tuple[DataSetFile
 
 TIMEOUT: Final = 30
 """Seconds without any byte after which a download has failed."""
-CHUNK: Final = 1 << 16
-"""Bytes that are written at a time."""
 
 
 def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
@@ -383,9 +374,8 @@ def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
 
 def _present(found: DataSetFiles, file: DataFile, out: Path | None) -> Path | None:
     """Return the checked file where it need not be loaded, None where it must be."""
-    if out is None:
-        others = found.candidates(file.path)
-    else:
+    others = found.candidates(file.path)
+    if out is not None:
         others = list(filter(is_file, [out / file.path]))
     place = next(filter(file.is_at, others), None)
     if place is not None or others in ([], [found.cache / file.path]):  # ours is loaded again
@@ -412,23 +402,29 @@ def _fetch_file(found: DataSetFiles, file: DataFile, place: Path) -> None:
         )
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(mkdtemp(prefix=".fetch-", dir=place.parent))
-    except OSError as error:
-        raise UsageError(_failure(file, error)) from error
-    try:
-        part = folder / "part"
-        if here is not None:
-            shutil.copyfile(here, part)
-        else:
-            address = found.described.url.rstrip("/") + "/" + quote(file.origin)
-            fetch_file(address, part, file.bytes)
-        if not file.is_at(part):
-            raise UsageError(_damaged(found, file, "what was loaded has another one"))
-        part.replace(place)
+        with TemporaryDirectory(
+            prefix=".fetch-", dir=place.parent, ignore_cleanup_errors=True
+        ) as folder:
+            part = Path(folder) / "part"
+            if here is not None:
+                shutil.copyfile(here, part)
+            else:
+                address = found.described.url.rstrip("/") + "/" + quote(file.origin)
+                fetch_file(address, part, file.bytes)
+            if not file.is_at(part):
+                raise UsageError(_damaged(found, file, "what was loaded has another one"))
+            part.replace(place)
     except OSError as error:  # of the disk, and of the connection: requests' errors are its heirs
-        raise UsageError(_failure(file, error)) from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise UsageError(
+                f"The disk is full: {file.path} was not written; free some space and fetch again."
+            ) from error
+        reason = error.strerror or str(error).splitlines()[0]
+        # Errors of the connection have no number; those of the disk stay when fetched again.
+        advice = "fetch again to go on" if error.errno is None else "choose another folder with -o"
+        raise UsageError(
+            f"{file.path} was not loaded ({type(error).__name__}: {reason}); {advice}."
+        ) from error
 
 
 def fetch_file(url: str, part: Path, most: int) -> None:
@@ -439,20 +435,10 @@ def fetch_file(url: str, part: Path, most: int) -> None:
     with requests.get(url, stream=True, timeout=TIMEOUT) as response:
         response.raise_for_status()
         with part.open("wb") as file:
-            for content in response.iter_content(CHUNK):
+            for content in response.iter_content(1 << 16):
                 if file.tell() + len(content) > most:
                     raise UsageError(
                         f"{url} has more than the {most} bytes that the data set states: it is "
                         "another version."
                     )
                 file.write(content)
-
-
-def _failure(file: DataFile, error: OSError) -> str:
-    """Return one sentence about a file that could not be loaded."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return f"The disk is full: {file.path} was not written; free some space and fetch again."
-    reason = error.strerror or str(error).splitlines()[0]
-    # Errors of the connection have no number; those of the disk stay when fetched again.
-    advice = "fetch again to go on" if error.errno is None else "choose another folder with -o"
-    return f"{file.path} was not loaded ({type(error).__name__}: {reason}); {advice}."

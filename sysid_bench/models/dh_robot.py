@@ -73,27 +73,34 @@ def mjcf_of(
     if unknown:
         raise unknown_name("massless link", min(unknown), known)
     bodies = _bodies(table, placed, -1, frozenset(massless), "    ")
-    dependent = [row for row in table.rows if row.coupling_coefficients]
-    # MuJoCo's joint equality relates two joints; a fixed tendon adds up any number of them.
-    tendons = "".join(_tendon(row) for row in dependent if len(row.coupling_coefficients) > 1)
-    equalities = "".join(map(_equality, dependent)) + _connects(table, placed)
+    index = {row.link: i for i, row in enumerate(table.rows)}
+    tendons = equalities = motors = ""
+    for row in table.rows:
+        joint, followed = f"j{row.link}", row.coupling_coefficients
+        if row.is_joint and row.motor and not followed:
+            motors += f'    <motor name="m{row.link}" joint="{joint}"/>\n'
+        # MuJoCo's joint equality relates two joints; a fixed tendon adds up any number of them.
+        if len(followed) == 1:
+            ((driver, value),) = followed.items()
+            polynomial = f'joint2="j{driver[1:]}" polycoef="0 {value:.15g} 0 0 0"'
+            equalities += f'    <joint joint1="{joint}" {polynomial}/>\n'
+        elif followed:
+            # Its length is the joint's position minus that which the others give it.
+            parts = {joint: "1"} | {f"j{n[1:]}": f"{-c:.15g}" for n, c in followed.items()}
+            terms = "".join(f'      <joint joint="{j}" coef="{c}"/>\n' for j, c in parts.items())
+            tendons += f'    <fixed name="t{row.link}">\n{terms}    </fixed>\n'
+            equalities += f'    <tendon tendon1="t{row.link}"/>\n'
+    for one, other in table.connects:
+        anchor = f'anchor="{_words(placed[index[one]].p_end)}"'
+        equalities += f'    <connect body1="link{one}" body2="link{other}" {anchor}/>\n'
+    sections = {"tendon": tendons, "equality": equalities}
+    couplings = (f"  <{tag}>\n{x}  </{tag}>\n" for tag, x in sections.items() if x)
     return (
         f"<mujoco model={quoteattr(name)}>\n"
         '  <compiler angle="radian" inertiafromgeom="false" autolimits="true"/>\n'
         f'  <option gravity="{_words(gravity)}" integrator="implicitfast"/>\n'
-        f"  <worldbody>\n{bodies}  </worldbody>\n"
-        + _section("tendon", tendons)
-        + _section("equality", equalities)
-        + f"  <actuator>\n{_motors(table)}  </actuator>\n</mujoco>\n"
-    )
-
-
-def _motors(table: DhTable) -> str:
-    joints = [row for row in table.rows if row.is_joint and row.motor]
-    return "".join(
-        f'    <motor name="m{row.link}" joint="j{row.link}"/>\n'
-        for row in joints
-        if not row.coupling_coefficients
+        f"  <worldbody>\n{bodies}  </worldbody>\n{''.join(couplings)}"
+        f"  <actuator>\n{motors}  </actuator>\n</mujoco>\n"
     )
 
 
@@ -105,23 +112,23 @@ def _place(table: DhTable, convention: Convention, frames: Frames, R_base: Array
     placed: list[_Placed] = []
     for i, row in enumerate(table.rows):
         parent, R_before, p_before = ends[row.prev]
-        R, p, axis, anchor, R_end, p_end = frame_of(row, frames)
-        R, p = R_before @ R, p_before + R_before @ p
+        R, p, axis, anchor, p_end = frame_of(row, frames)
+        R, p, R_end = R_before @ R, p_before + R_before @ p, np.eye(3)
         carrier = i
         if not row.is_joint:
             carrier, R_end, p_end = parent, R @ R_end, p + R @ p_end
         ends[row.link] = (carrier, R_end, p_end)
-        placed.append(
-            _Placed(parent=parent, R=R, p=p, axis=axis, anchor=anchor, R_end=R_end, p_end=p_end)
-        )
+        body = _Placed(parent, R=R, p=p, axis=axis, anchor=anchor, R_end=R_end, p_end=p_end)
+        placed.append(body)
     return placed
 
 
-_Pose = tuple[Array, Array, Array, Array, Array, Array]
+_Pose = tuple[Array, Array, Array, Array, Array]
 
 
 def _standard(row: DhRow, frames: Frames) -> _Pose:
-    """Body frame in frame prev, axis and anchor of its joint, frame i in the body frame."""
+    """Body frame in frame prev, axis and anchor of its joint, origin of frame i in the body frame,
+    whose axes are those of frame i."""
     # The constants are the pose at zero joint variables, which MuJoCo takes as reference.
     theta, d = row.theta.constant, row.d.constant
     R = _Rz(theta) @ _Rx(row.alpha)
@@ -130,51 +137,52 @@ def _standard(row: DhRow, frames: Frames) -> _Pose:
     axis = _Rx(row.alpha).T @ np.array([0.0, 0.0, 1.0])
     if row.kind == "R" and frames == "joint":
         # Origin o_prev, axes of frame i: the lever arm p to o_i lies within the body.
-        return R, np.zeros(3), axis, np.zeros(3), np.eye(3), R.T @ p
+        return R, np.zeros(3), axis, np.zeros(3), R.T @ p
     anchor = -R.T @ p if row.kind == "R" else np.zeros(3)
-    return R, p, axis, anchor, np.eye(3), np.zeros(3)
+    return R, p, axis, anchor, np.zeros(3)
 
 
 def _modified(row: DhRow, frames: Frames) -> _Pose:
     # a and alpha come before the joint: its axis is z of frame i, through o_i.
     R = _Rx(row.alpha) @ _Rz(row.theta.constant)
     p = np.array([row.a, 0.0, 0.0]) + _Rx(row.alpha) @ np.array([0.0, 0.0, row.d.constant])
-    z = np.array([0.0, 0.0, 1.0])
-    return R, p, z, np.zeros(3), np.eye(3), np.zeros(3)
+    return R, p, np.array([0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3)
 
 
 def _bodies(
     table: DhTable, placed: list[_Placed], parent: int, massless: frozenset[str], indent: str
 ) -> str:
     """The bodies whose parent is that of this index (-1: the world), and all bodies below them."""
-    return "".join(
-        _body(table, placed, i, massless, indent)
-        for i, (row, body) in enumerate(zip(table.rows, placed, strict=True))
-        if body.parent == parent and row.is_joint
-    )
+    text = ""
+    for i, (row, body) in enumerate(zip(table.rows, placed, strict=True)):
+        if body.parent != parent or not row.is_joint:
+            continue
+        kind = "hinge" if row.kind == "R" else "slide"
+        anchor = f' pos="{_words(body.anchor)}"' if body.anchor.any() else ""
+        limits = "" if row.limits is None else f' range="{_words(row.limits)}"'
+        armature = f' armature="{ARMATURE}"' if row.link in massless else ""
+        text += (
+            f'{indent}<body name="link{row.link}" pos="{_words(body.p)}" '
+            f'quat="{_words(quaternion_of_matrix(body.R), 17)}">\n'
+            f'{indent}  <joint name="j{row.link}" type="{kind}" axis="{_words(body.axis)}"{anchor}'
+            f"{limits}{armature}/>\n"
+            f"{indent}  {_inertial(row, placed, i, row.link in massless)}\n"
+            f"{_bodies(table, placed, i, massless, indent + '  ')}{indent}</body>\n"
+        )
+    return text
 
 
-def _body(
-    table: DhTable, placed: list[_Placed], i: int, massless: frozenset[str], indent: str
-) -> str:
-    row, body = table.rows[i], placed[i]
-    kind = "hinge" if row.kind == "R" else "slide"
-    anchor = f' pos="{_words(body.anchor)}"' if body.anchor.any() else ""
-    limits = "" if row.limits is None else f' range="{_words(row.limits)}"'
-    armature = f' armature="{ARMATURE}"' if row.link in massless else ""
-    return (
-        f'{indent}<body name="link{row.link}" pos="{_words(body.p)}" '
-        f'quat="{_words(quaternion_of_matrix(body.R), 17)}">\n'
-        f'{indent}  <joint name="j{row.link}" type="{kind}" axis="{_words(body.axis)}"{anchor}'
-        f"{limits}{armature}/>\n"
-        f"{indent}  {_inertial(table, placed, i, row.link in massless)}\n"
-        f"{_bodies(table, placed, i, massless, indent + '  ')}{indent}</body>\n"
-    )
-
-
-def _inertial(table: DhTable, placed: list[_Placed], i: int, massless: bool) -> str:
-    row = table.rows[i]
-    com, size = _shape(table, placed, i)
+def _inertial(row: DhRow, placed: list[_Placed], i: int, massless: bool) -> str:
+    """Element of a box: as in the table, else from the joint's axis to the next link's frame."""
+    body = placed[i]
+    arms = [other.p - body.anchor for other in placed if other.parent == i]
+    # The last link of a chain carries nothing: its own DH frame is its end.
+    arms = arms or [body.p_end - body.anchor]
+    reach = max(arms, key=lambda arm: float(np.linalg.norm(arm)))
+    size = np.maximum(np.abs(reach), WIDTH) if row.size is None else np.array(row.size)
+    com = body.anchor + 0.5 * reach if row.size is None else body.p_end
+    if row.com is not None:
+        com = body.p_end + body.R_end @ np.array(row.com)
     if massless:
         mass, moments = TINY[0], np.full(3, TINY[1])
     else:
@@ -186,55 +194,6 @@ def _inertial(table: DhTable, placed: list[_Placed], i: int, massless: bool) -> 
             f"Link {row.link!r} has the mass {mass}; list it as massless or give it a mass."
         )
     return f'<inertial pos="{_words(com)}" mass="{mass:.9g}" diaginertia="{_words(moments)}"/>'
-
-
-def _shape(table: DhTable, placed: list[_Placed], i: int) -> tuple[Array, Array]:
-    """Centre and size (3,) in m of a box in the body frame: as in the table, else from the axis of
-    the joint to the frame of the next link."""
-    row, body = table.rows[i], placed[i]
-    arms = [other.p - body.anchor for other in placed if other.parent == i]
-    # The last link of a chain carries nothing: its own DH frame is its end.
-    arms = arms or [body.p_end - body.anchor]
-    reach = max(arms, key=lambda arm: float(np.linalg.norm(arm)))
-    size = np.maximum(np.abs(reach), WIDTH) if row.size is None else np.array(row.size)
-    if row.com is not None:
-        return body.p_end + body.R_end @ np.array(row.com), size
-    if row.size is not None:
-        return body.p_end.copy(), size
-    return body.anchor + 0.5 * reach, size
-
-
-def _equality(row: DhRow) -> str:
-    if len(row.coupling_coefficients) > 1:
-        return f'    <tendon tendon1="t{row.link}"/>\n'
-    ((name, value),) = row.coupling_coefficients.items()
-    joints = f'joint1="j{row.link}" joint2="j{name[1:]}"'
-    return f'    <joint {joints} polycoef="0 {value:.15g} 0 0 0"/>\n'
-
-
-def _tendon(row: DhRow) -> str:
-    """Fixed tendon whose length is the joint's position minus that which the others give it."""
-    parts = "".join(
-        f'      <joint joint="j{name[1:]}" coef="{-value:.15g}"/>\n'
-        for name, value in row.coupling_coefficients.items()
-    )
-    return (
-        f'    <fixed name="t{row.link}">\n      <joint joint="j{row.link}" coef="1"/>\n{parts}'
-        "    </fixed>\n"
-    )
-
-
-def _connects(table: DhTable, placed: list[_Placed]) -> str:
-    index = {row.link: i for i, row in enumerate(table.rows)}
-    return "".join(
-        f'    <connect body1="link{one}" body2="link{other}" '
-        f'anchor="{_words(placed[index[one]].p_end)}"/>\n'
-        for one, other in table.connects
-    )
-
-
-def _section(tag: str, elements: str) -> str:
-    return f"  <{tag}>\n{elements}  </{tag}>\n" if elements else ""
 
 
 def _Rx(angle: float) -> Array:

@@ -5,7 +5,7 @@ import csv
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -92,13 +92,9 @@ def read_expression(
             f"{where}: {text.strip()!r} cannot be read: {reason}; use numbers, + - * / **, "
             f"and {known}."
         ) from error
-    _check_finite(value, f"{where}: {text.strip()!r}")
-    return value
-
-
-def _check_finite(value: LinearExpression, label: str) -> None:
     if not all(map(math.isfinite, [value.constant, *value.coefficients.values()])):
-        raise UsageError(f"{label} is not finite.")
+        raise UsageError(f"{where}: {text.strip()!r} is not finite.")
+    return value
 
 
 def _value(
@@ -190,10 +186,14 @@ def read_table(path: Path, symbols: Mapping[str, float] | None = None) -> DhTabl
     Raises UsageError with file, line and column.
     """
     lines = _numbered_lines(path)
-    lengths = _named_lengths(path, lines, symbols or {})
-    connects = tuple(
-        (found[1], found[2]) for _, line in lines if (found := _CONNECT.fullmatch(line))
-    )
+    # Values (m) of the lines `# let NAME = EXPRESSION`, each of which may use those above it.
+    lengths: dict[str, float] = {}
+    for number, line in lines:
+        if found := _SYMBOL.fullmatch(line):
+            name, text = found.groups()
+            value = read_expression(text, lengths, frozenset(), f"{path}, line {number}")
+            lengths[name] = (symbols or {}).get(name, value.constant)
+    connects = [(found[1], found[2]) for _, line in lines if (found := _CONNECT.fullmatch(line))]
     numbered = _csv_lines(path, lines)
     if len(numbered) < 2:
         raise UsageError(f"{path} has no rows; write a line of column names, then one per link.")
@@ -208,16 +208,13 @@ def read_table(path: Path, symbols: Mapping[str, float] | None = None) -> DhTabl
         )
     # A line may end before its last columns: their cells are empty.
     cells = [(number, dict(zip(header, row, strict=False))) for number, row in numbered[1:]]
-    rows = _rows(path, cells, lengths)
-    _check_links(path, rows)
-    known = [row.link for row in rows]
-    for link in chain.from_iterable(connects):
-        if link not in known:
-            raise UsageError(f"{path}: connect: {unknown_name('link', link, known)}")
-    clash = _independent_variables(rows).intersection(CONSTANTS)
-    if clash:
-        raise UsageError(f"{path}: {', '.join(sorted(clash))} is a constant; rename the link.")
-    return DhTable(rows, lengths, connects)
+    variables = frozenset(_variable(row.get("link", "")) for _, row in cells)
+    rows: list[DhRow] = []
+    for number, row in cells:
+        before = rows[-1].link if rows else None
+        rows.append(_Cells(f"{path}, line {number}", row, lengths, variables).read(before))
+    _check_links(path, rows, [*chain.from_iterable(connects)])
+    return DhTable(tuple(rows), lengths, tuple(connects))
 
 
 def _numbered_lines(path: Path) -> list[tuple[int, str]]:
@@ -230,33 +227,20 @@ def _numbered_lines(path: Path) -> list[tuple[int, str]]:
     return [(number, line.strip()) for number, line in enumerate(lines, start=1) if line.strip()]
 
 
-def _named_lengths(
-    path: Path, lines: list[tuple[int, str]], symbols: Mapping[str, float]
-) -> dict[str, float]:
-    """Values (m) of the lines `# let NAME = EXPRESSION`, each of which may use those above it."""
-    lengths: dict[str, float] = {}
-    for number, line in lines:
-        if found := _SYMBOL.fullmatch(line):
-            name, text = found.groups()
-            value = read_expression(text, lengths, frozenset(), f"{path}, line {number}")
-            lengths[name] = symbols.get(name, value.constant)
-    return lengths
-
-
 def _csv_lines(path: Path, lines: list[tuple[int, str]]) -> list[tuple[int, list[str]]]:
     """The cells of every line that is not a comment, with its number; the first are the names."""
-    table = [(number, line) for number, line in lines if not line.startswith("#")]
-    return [(number, _line_cells(path, number, line)) for number, line in table]
-
-
-def _line_cells(path: Path, number: int, line: str) -> list[str]:
-    try:
-        return [cell.strip() for cell in next(csv.reader([line]))]
-    except csv.Error as error:
-        raise UsageError(
-            f"{path}, line {number} is not a line of a table ({error}); separate its cells by "
-            "commas."
-        ) from error
+    table = []
+    for number, line in lines:
+        if line.startswith("#"):
+            continue
+        try:
+            table.append((number, [cell.strip() for cell in next(csv.reader([line]))]))
+        except csv.Error as error:
+            raise UsageError(
+                f"{path}, line {number} is not a line of a table ({error}); separate its cells by "
+                "commas."
+            ) from error
+    return table
 
 
 def paper_table(
@@ -276,18 +260,6 @@ def _variable(link: str) -> str:
     return f"q{link}"
 
 
-def _rows(
-    path: Path, cells: list[tuple[int, dict[str, str]]], symbols: Mapping[str, float]
-) -> tuple[DhRow, ...]:
-    variables = frozenset(_variable(row.get("link", "")) for _, row in cells)
-    rows: list[DhRow] = []
-    before = None
-    for number, row in cells:
-        rows.append(_Cells(f"{path}, line {number}", row, symbols, variables).read(before))
-        before = rows[-1].link
-    return tuple(rows)
-
-
 @dataclass(frozen=True)
 class _Cells:
     """The cells of one line, and the names that may occur in them."""
@@ -299,80 +271,61 @@ class _Cells:
 
     def read(self, before: str | None) -> DhRow:
         """Return the row; without a column `prev` its parent is the row before."""
-        link = self.link()
-        kind, motor = self.joint()
-        theta, d = (self.linear(name, kind) for name in ("theta", "d"))
-        return DhRow(
-            link=link,
-            kind=kind,
-            prev=self.prev(before),
-            a=self.number("a"),
-            alpha=self.number("alpha"),
-            d=d,
-            theta=theta,
-            motor=motor,
-            limits=self.limits(),
-            mass=self.number("mass") if self.row.get("mass") else None,
-            com=self.three("com"),
-            size=self.three("size"),
-        )
-
-    def link(self) -> str:
-        """Return the name of the link."""
         link = self.row.get("link", "")
         if not re.fullmatch(r"\w+", link):
             raise UsageError(
                 f"{self.where}: a link's name has letters and digits only ('2p'); got {link!r}."
             )
-        return link
-
-    def joint(self) -> tuple[Kind, bool]:
-        """Return the kind of the joint, and True where a motor moves it."""
         kind, _, rest = self.row.get("joint", "").partition(" ")
         if kind not in _KINDS or rest.strip() not in ("", "passive"):
             raise UsageError(
                 f"{self.where}, column joint: {self.row.get('joint')!r}; write R, P or F, and "
                 "'R passive' for a joint without motor."
             )
-        return _KINDS[kind], not rest.strip()
-
-    def prev(self, before: str | None) -> str | None:
-        """Return the name of the parent link; None for the base."""
         prev = self.row.get("prev", before)
-        return None if prev in BASES else prev
+        theta, d = (self.linear(name, kind) for name in ("theta", "d"))
+        return DhRow(
+            link=link,
+            kind=_KINDS[kind],
+            prev=None if prev in BASES else prev,
+            a=self.number("a"),
+            alpha=self.number("alpha"),
+            d=d,
+            theta=theta,
+            motor=not rest.strip(),
+            limits=self.limits(),
+            mass=self.number("mass") if self.row.get("mass") else None,
+            com=self.three("com"),
+            size=self.three("size"),
+        )
 
-    def linear(self, name: str, kind: Kind) -> LinearExpression:
-        """Return theta or d, of which one may hold joint variables."""
-        text = self.row.get(name, "").replace("—", "")
-        value = read_expression(text, self.symbols, self.variables, f"{self.where}, column {name}")
-        if (kind, name) in (("R", "theta"), ("P", "d")):
-            return self.joint_position(name, text, value)
-        if value.coefficients:
-            raise UsageError(
-                f"{self.where}, column {name}: {text!r} is variable, but the joint is {kind}."
-            )
-        return value
-
-    def joint_position(self, name: str, text: str, value: LinearExpression) -> LinearExpression:
-        """Return the position of the joint; the link's own variable is the default."""
+    def linear(self, name: str, kind: str) -> LinearExpression:
+        """Return theta or d; the one that is the joint's position may hold joint variables, and is
+        the link's own variable by default."""
+        text, where = self.text(name), f"{self.where}, column {name}"
+        value = read_expression(text, self.symbols, self.variables, where)
         variable = _variable(self.row["link"])
+        if (kind, name) not in (("R", "theta"), ("P", "d")):
+            if value.coefficients:
+                raise UsageError(f"{where}: {text!r} is variable, but the joint is {kind}.")
+            return value
         # A constant is the offset of the joint's zero.
         if not value.coefficients:
             return value + LinearExpression(0.0, {variable: 1.0})
         if variable in value.coefficients and value.coefficients != {variable: 1.0}:
             raise UsageError(
-                f"{self.where}, column {name}: {text!r}; write {variable} plus a constant, or "
-                "only the variables that it follows."
+                f"{where}: {text!r}; write {variable} plus a constant, or only the variables that "
+                "it follows."
             )
         return value
 
-    def number(self, name: str) -> float:
-        """Return the value of a constant cell."""
-        return self.constant(name, self.row.get(name, "").replace("—", ""))
+    def text(self, name: str) -> str:
+        """Return the text of a cell; tables of papers have a dash in empty ones."""
+        return self.row.get(name, "").replace("—", "")
 
-    def constant(self, name: str, text: str) -> float:
-        """Return the value of a text without joint variables in this column."""
-        where = f"{self.where}, column {name}"
+    def number(self, name: str, text: str | None = None) -> float:
+        """Return the value of a cell, or of a text in it, without joint variables."""
+        text, where = self.text(name) if text is None else text, f"{self.where}, column {name}"
         return read_expression(text, self.symbols, frozenset(), where).constant
 
     def limits(self) -> tuple[float, float] | None:
@@ -391,12 +344,13 @@ class _Cells:
             return None
         if len(words) != 3:
             raise UsageError(f"{self.where}, column {name}: write three numbers; got {words}.")
-        x, y, z = (self.constant(name, word) for word in words)
+        x, y, z = (self.number(name, word) for word in words)
         return x, y, z
 
 
-def _check_links(path: Path, rows: tuple[DhRow, ...]) -> None:
-    """Refuse two links of one name, parents further down, and variables that nothing moves."""
+def _check_links(path: Path, rows: Sequence[DhRow], connected: Sequence[str]) -> None:
+    """Refuse two links of one name, parents further down, variables that nothing moves or that have
+    the name of a constant, and links of chains that there are not."""
     known: set[str] = set()
     for row in rows:
         if row.link in known:
@@ -407,7 +361,9 @@ def _check_links(path: Path, rows: tuple[DhRow, ...]) -> None:
                 "table; order the rows from the base outwards."
             )
         known.add(row.link)
-    independent = _independent_variables(rows)
+    # Variables of the joints that follow no other: rows of followers may come first.
+    joints = [row for row in rows if row.is_joint and not row.coupling_coefficients]
+    independent = {_variable(row.link) for row in joints}
     for row in rows:
         for name in row.coupling_coefficients:
             if name not in independent:
@@ -415,9 +371,11 @@ def _check_links(path: Path, rows: tuple[DhRow, ...]) -> None:
                     f"{path}: link {row.link!r} follows {name}, which is not independent; "
                     f"independent are {', '.join(sorted(independent))}."
                 )
-
-
-def _independent_variables(rows: tuple[DhRow, ...]) -> set[str]:
-    """Variables of the joints that follow no other: rows of followers may come first."""
-    joints = [row for row in rows if row.is_joint]
-    return {_variable(row.link) for row in joints if not row.coupling_coefficients}
+    for link in connected:
+        if link not in known:
+            raise UsageError(
+                f"{path}: connect: {unknown_name('link', link, [row.link for row in rows])}"
+            )
+    clash = independent.intersection(CONSTANTS)
+    if clash:
+        raise UsageError(f"{path}: {', '.join(sorted(clash))} is a constant; rename the link.")

@@ -4,7 +4,7 @@ The linear terms are viscous and Coulomb friction, torque offset, armature and s
 (`robot.JointTerms`); MuJoCo knows neither offsets nor viscous coupling between joints.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, Final, TypeVar
 
 import mujoco
@@ -62,7 +62,13 @@ def model_joint_terms(
         if terms.offset is not None:
             offset[dofs[name]] = terms.offset
         for other, value in terms.viscous_coupling.items():
-            coupling[dofs[name], _other_dof(manifest, name, other, dofs)] = value
+            known = [one for one in dofs if one != name]
+            if other not in known:
+                raise ModelError(
+                    f"{manifest.name}: joints.{name}.viscous_coupling: "
+                    f"{unknown_name('other hinge or slide', other, known)}"
+                )
+            coupling[dofs[name], dofs[other]] = value
     return JointTerms(
         # MuJoCo 4 keeps polynomials of the speed; the linear coefficient comes first.
         viscous=viscous if viscous.ndim == 1 else viscous[:, 0],
@@ -92,16 +98,6 @@ def linear_polynomial(like: Any, value: float) -> Any:
     return coefficients
 
 
-def _other_dof(manifest: Manifest, joint: str, other: str, dofs: Mapping[str, int]) -> int:
-    known = [name for name in dofs if name != joint]
-    if other not in known:
-        raise ModelError(
-            f"{manifest.name}: joints.{joint}.viscous_coupling: "
-            f"{unknown_name('other hinge or slide', other, known)}"
-        )
-    return dofs[other]
-
-
 Value = TypeVar("Value")
 
 # Half range, speed, acceleration of a careful arm where neither manifest nor model states them:
@@ -124,15 +120,14 @@ def limits_of(
     text of the model states (rad/s, m/s), which MuJoCo does not keep."""
     low, high = np.full(mj.nv, -np.inf), np.full(mj.nv, np.inf)
     v, a, tau = np.full(mj.nv, FLOATING[0]), np.full(mj.nv, FLOATING[1]), np.full(mj.nv, np.inf)
-    for j, joint in _scalar_joints(joints):
+    for j, joint, q_model, v_model in _stated(mj, joints, velocities):
         reach, usual_v, usual_a = USUAL[joint.kind]
         # Limits of the joint itself come before those of "all".
         common, single = (manifest.limits.get(name, Limits()) for name in ("all", joint.name))
         written = common.model_copy(update=single.model_dump(exclude_none=True))
         dof, centre = joint.vadr, mj.qpos0[joint.qadr]
-        usual_q = (centre - reach, centre + reach)
-        low[dof], high[dof] = _first_given(written.q, _model_range(mj, j, joint), usual_q)
-        v[dof] = _first_given(written.v, _model_velocity(velocities, joint), usual_v)
+        low[dof], high[dof] = _first_given(written.q, q_model, (centre - reach, centre + reach))
+        v[dof] = _first_given(written.v, v_model, usual_v)
         a[dof] = _first_given(written.a, usual_a)
         # A range [-a, b] holds for either sign only up to the smaller one; zero means none.
         largest = float(np.abs(mj.jnt_actfrcrange[j]).min()) if mj.jnt_actfrclimited[j] else 0.0
@@ -149,33 +144,29 @@ def known_limits(
     """Return (lowest q, highest q, v, a) (nv,) where the manifest, for that joint, or the model
     states them; infinite elsewhere: usual values do not bind a joint that follows another one."""
     low, (high, v, a) = np.full(mj.nv, -np.inf), np.full((3, mj.nv), np.inf)
-    for j, joint in _scalar_joints(joints):
+    for _, joint, q_model, v_model in _stated(mj, joints, velocities):
         # Not those of "all": they are meant for the joints that motions command.
         written, dof = manifest.limits.get(joint.name, Limits()), joint.vadr
-        unlimited = (-np.inf, np.inf)
-        low[dof], high[dof] = _first_given(written.q, _model_range(mj, j, joint), unlimited)
-        v[dof] = _first_given(written.v, _model_velocity(velocities, joint), np.inf)
+        low[dof], high[dof] = _first_given(written.q, q_model, (-np.inf, np.inf))
+        v[dof] = _first_given(written.v, v_model, np.inf)
         a[dof] = _first_given(written.a, np.inf)
     return low, high, v, a
 
 
-def _scalar_joints(joints: tuple[Joint, ...]) -> Iterator[tuple[int, Joint]]:
-    """The hinges and slides with their index in the model."""
-    return ((j, joint) for j, joint in enumerate(joints) if joint.kind in USUAL)
+def _stated(
+    mj: "mujoco.MjModel", joints: tuple[Joint, ...], velocities: dict[str, float]
+) -> Iterator[tuple[int, Joint, tuple[float, float] | None, float | None]]:
+    """Each hinge and slide with its index, and its range and velocity limit in the text of the
+    model; None where it has none or only a placeholder."""
+    for j, joint in enumerate(joints):
+        if joint.kind in USUAL:
+            low, high = mj.jnt_range[j]
+            limited = mj.jnt_limited[j] and high - low <= UNLIMITED[joint.kind]
+            v = velocities.get(joint.name, np.inf)
+            fast = v > PLACEHOLDER[joint.kind]
+            yield j, joint, (low, high) if limited else None, None if fast else v
 
 
 def _first_given(*values: Value | None) -> Value:
     """The first value that is not None: sources are listed in the order of their authority."""
     return next(value for value in values if value is not None)
-
-
-def _model_range(mj: "mujoco.MjModel", j: int, joint: Joint) -> tuple[float, float] | None:
-    """Range of a joint in the model; None where it has none or only a placeholder."""
-    low, high = mj.jnt_range[j]
-    return (low, high) if mj.jnt_limited[j] and high - low <= UNLIMITED[joint.kind] else None
-
-
-def _model_velocity(velocities: dict[str, float], joint: Joint) -> float | None:
-    """Velocity limit of a joint in the text of the model; None for a placeholder, too."""
-    v = velocities.get(joint.name, np.inf)
-    return v if v <= PLACEHOLDER[joint.kind] else None

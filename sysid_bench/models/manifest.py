@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError, unknown_name, value_errors
-from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
+from sysid_bench.input_files import is_file, is_folder, read_toml
 from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.random_robot import random_coupled_robot, random_robot
 from sysid_bench.models.sources import (
@@ -213,16 +213,15 @@ def find_manifest(
     """
     plain, settings = source_settings(source)
     found = replace(_plain_manifest(plain, robots_dir, folder), **settings)
-    if not _is_given_by_path(plain):
+    # A path can be written in many ways: what it leads to makes the robot.
+    if plain.startswith(SCHEME):
+        given_by_path = plain.removeprefix(SCHEME) not in package_folders.dataset_files()
+    else:
+        is_other = plain.startswith(f"{RANDOM}:") or is_package_file(plain)
+        given_by_path = not is_other and _is_path(plain)
+    if not given_by_path:
         return found
     return replace(found, content=content_hash(found.path, found.manifest_file))
-
-
-def _is_given_by_path(source: str) -> bool:
-    """True for a model or data set by its path, which can be written in many ways."""
-    if source.startswith(SCHEME):
-        return source.removeprefix(SCHEME) not in package_folders.dataset_files()
-    return not source.startswith(f"{RANDOM}:") and not is_package_file(source) and _is_path(source)
 
 
 def _is_path(source: str) -> bool:
@@ -267,12 +266,7 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
 
 def read_manifest(file: Path) -> Manifest:
     """Read the manifest in a robot.toml; raises one ModelError that lists all its errors."""
-    try:
-        keys = parse_toml(read_text(file))
-    except OSError as error:
-        raise ModelError(f"{file} cannot be read: {error.strerror or error}.") from error
-    except ValueError as error:
-        raise ModelError(f"{file} is not valid TOML: {error}.") from error
+    keys = read_toml(file, ModelError)
     if "schema" in keys and "file" not in keys:  # one sentence in place of one for each key
         raise ModelError(
             f"{file} is not a robot.toml, which has the keys name and file: it has schema, as a "
@@ -291,27 +285,21 @@ def _manifest(written: RobotKeys, file: Path, path: Path, assets: Path | None) -
     for name, (low, high) in ranges.items():
         if not low < high:
             raise ModelError(f"{file}: limits.{name}.q must be [low, high]; got {[low, high]}.")
+    same = (
+        *("name", "tool", "free_base", "gravity", "terms", "limits", "joints", "couplings"),
+        *("locked", "massless", "dh", "paper"),
+    )
+    fields: dict[str, Any] = {key: getattr(written, key) for key in same}
     return Manifest(
-        name=written.name,
         path=path,
         assets=assets if written.assets is None else path.parent / written.assets,
         title=written.title or written.name,
-        tool=written.tool,
-        free_base=written.free_base,
-        gravity=written.gravity,
-        terms=written.terms,
-        limits=written.limits,
-        joints=written.joints,
-        locked=written.locked,
-        massless=written.massless,
-        dh=written.dh,
-        paper=written.paper,
-        couplings=written.couplings,
         independent=written.coupling.independent,
         sensors=written.sensor,
         licence=written.source.licence,
         suppressed=written.lint.ignore,
         manifest_file=file,
+        **fields,
     )
 
 
@@ -320,8 +308,25 @@ def _checked_keys(keys: Mapping[str, Any], file: Path) -> RobotKeys:
     try:
         return RobotKeys.model_validate(keys)
     except ValidationError as error:
-        lines = "; ".join(_lines(error))
-        raise ModelError(f"{file}: {lines}.") from error
+        lines, values = [], []
+        for problem in error.errors():
+            if problem["type"] != "extra_forbidden":
+                values.append(problem)
+                continue
+            *place, key = map(str, problem["loc"])
+            table = _TABLES.get(place[0], Source) if place else RobotKeys
+            unknown = unknown_name("key", key, sorted(table.model_fields))
+            lines.append(f"{'.'.join((*place, key))}: {unknown}".rstrip("."))
+        lines += [f"{key}: {text}" for key, text in value_errors(values).items()]
+        raise ModelError(f"{file}: {'; '.join(lines)}.") from error
+
+
+_TABLES: Final[Mapping[str, type[BaseModel]]] = {
+    "limits": Limits,
+    "joints": JointTerms,
+    "coupling": _CouplingTable,
+    "sensor": Sensor,
+}
 
 
 def _from_path(path: Path, source: str) -> Manifest:
@@ -372,28 +377,3 @@ def _model_path(written: str, manifest: Path) -> tuple[Path, Path | None]:
             f"{manifest}: the model file {written!r} does not exist (looked at {path})."
         )
     return path, assets
-
-
-def _lines(mistakes: ValidationError) -> Iterator[str]:
-    """Yield a sentence for each mistake."""
-    values = []
-    for problem in mistakes.errors():
-        if problem["type"] == "extra_forbidden":
-            *place, key = map(str, problem["loc"])
-            error = unknown_name("key", key, sorted(_known_keys(problem["loc"])))
-            yield f"{'.'.join((*place, key))}: {error}".rstrip(".")
-        else:
-            values.append(problem)
-    yield from (f"{key}: {text}" for key, text in value_errors(values).items())
-
-
-def _known_keys(path: tuple[Any, ...]) -> set[str]:
-    if len(path) == 1:
-        return set(RobotKeys.model_fields)
-    tables: dict[Any, type[BaseModel]] = {
-        "limits": Limits,
-        "joints": JointTerms,
-        "coupling": _CouplingTable,
-        "sensor": Sensor,
-    }
-    return set(tables.get(path[0], Source).model_fields)

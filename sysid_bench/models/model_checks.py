@@ -4,7 +4,7 @@ import math
 import warnings
 import xml.etree.ElementTree as ET
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
@@ -43,43 +43,44 @@ def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
     """Raise ModelError, naming the first body or joint, for numbers that are not finite, beyond
     `LARGEST`, or negative where that is impossible."""
     for key in _OF_BODIES:
-        _check_bodies(mj, key, _wrong(getattr(mj, key)), name)
+        _check(mj, key, _wrong(getattr(mj, key)), name)
     for key in _OF_JOINTS:
-        for j in _wrong(getattr(mj, key)):
-            raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
+        _check(mj, key, _wrong(getattr(mj, key)), name)
     for key in ("body_quat", "body_iquat"):
         # A quaternion that overflows when MuJoCo normalises it becomes zero.
         lengths = np.linalg.norm(getattr(mj, key), axis=1)
-        _check_bodies(mj, key, np.flatnonzero(np.abs(lengths - 1) > 1e-6), name)
+        _check(mj, key, np.flatnonzero(np.abs(lengths - 1) > 1e-6).tolist(), name)
     for key, largest in _OF_THE_MODEL.items():
-        for i in _wrong(getattr(mj, key), largest):
-            raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i], largest)
+        _check(mj, key, _wrong(getattr(mj, key), largest), name, largest)
     for key in ("dof_armature", "dof_damping", "dof_frictionloss"):
-        _check_not_negative(mj, key, name)
+        values = np.ravel(getattr(mj, key))
+        for i in np.flatnonzero(values < 0).tolist():
+            joint = mj.joint(int(mj.dof_jntid[i % mj.nv])).name
+            raise ModelError(
+                f"{name}: {key.removeprefix('dof_')} of joint {joint!r} is {values[i]:.3g}; it "
+                "must not be negative: correct the file."
+            )
     if _wrong(mj.opt.gravity[None]):
         raise _error(name, "the model", "gravity", mj.opt.gravity)
-
-
-def _check_bodies(mj: "mujoco.MjModel", key: str, wrong: Iterable[int], name: str) -> None:
-    """Raise ModelError for the first body of those with a wrong value."""
-    for b in map(int, wrong):
-        raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
-
-
-def _check_not_negative(mj: "mujoco.MjModel", key: str, name: str) -> None:
-    values = np.ravel(getattr(mj, key))
-    for i in np.flatnonzero(values < 0).tolist():
-        joint = mj.joint(int(mj.dof_jntid[i % mj.nv])).name
-        raise ModelError(
-            f"{name}: {key.removeprefix('dof_')} of joint {joint!r} is {values[i]:.3g}; it must "
-            "not be negative: correct the file."
-        )
 
 
 def _wrong(values: np.ndarray, largest: float = LARGEST) -> list[int]:
     """Indices of rows with a number that is not finite or too large; NaN compares false."""
     good = np.abs(values.reshape(len(values), -1)) <= largest
     return [int(i) for i in np.flatnonzero(~good.all(axis=1))]
+
+
+def _check(
+    mj: "mujoco.MjModel", key: str, wrong: list[int], name: str, largest: float = LARGEST
+) -> None:
+    """Raise ModelError for the first of the elements with a wrong value."""
+    for i in wrong:
+        element, label = "the model", f"{key}[{i}]"
+        if key in _OF_BODIES:
+            element, label = f"body {mj.body(i).name or i!r}", key
+        elif key in _OF_JOINTS:
+            element, label = f"joint {mj.joint(i).name or i!r}", key
+        raise _error(name, element, label, getattr(mj, key)[i], largest)
 
 
 def _error(
@@ -92,12 +93,6 @@ def _error(
 
 
 _RECORDED: deque[str] = deque(maxlen=100)
-
-
-def _install_handler() -> None:
-    """Record warnings from now on; a handler that the user has set stays in place."""
-    if mujoco.get_mju_user_warning() is None:
-        mujoco.set_mju_user_warning(_RECORDED.append)
 
 
 @contextmanager
@@ -130,7 +125,9 @@ def warnings_from() -> tuple[str, ...]:
     return texts
 
 
-_install_handler()
+# From now on; a handler that the user has set stays in place.
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(_RECORDED.append)
 
 
 FAR: Final = 10.0  # m; distance of a centre of mass from its body's frame, or radius of gyration
@@ -139,66 +136,51 @@ TURNS: Final = 4 * math.pi  # rad; limited hinges stop before
 PLACEHOLDER: Final = 1e3  # rad; beyond it a limit means "none", in any unit
 
 
-def unit_warnings(mj: "mujoco.MjModel") -> tuple[str, ...]:
-    """Return one warning for each kind of value that looks like millimetres, degrees or g mm^2."""
-    return (*_lengths(mj), *_inertias(mj), *_ranges(mj))
+def unit_warnings(mj: "mujoco.MjModel") -> Iterator[str]:
+    """Yield one warning for each kind of value that looks like millimetres, degrees or g mm^2."""
 
+    def named(bodies: Array) -> str:
+        return first_names(mj.body(int(b)).name or "(unnamed)" for b in bodies)
 
-def _lengths(mj: "mujoco.MjModel") -> Iterator[str]:
     distance = np.linalg.norm(mj.body_pos, axis=1)
     # MuJoCo puts a free body where its joint starts.
     distance[[0, *mj.jnt_bodyid[mj.jnt_type == FREE]]] = 0.0
     apart = np.flatnonzero(distance > LONG)
     if apart.size:
-        yield f"{_named(mj, apart)} more than {LONG:.0f} m from the parent: is this in mm?"
-    centre = np.where(mj.body_mass > 0, np.linalg.norm(mj.body_ipos, axis=1), 0.0)
+        yield f"{named(apart)} more than {LONG:.0f} m from the parent: is this in mm?"
+    heavy = mj.body_mass > 0
+    centre = np.where(heavy, np.linalg.norm(mj.body_ipos, axis=1), 0.0)
     away = np.flatnonzero(centre[1:] > FAR) + 1
     if away.size:
         yield (
-            f"centre of mass of {_named(mj, away)} more than {FAR:.0f} m from the frame: "
-            "is this in mm?"
+            f"centre of mass of {named(away)} more than {FAR:.0f} m from the frame: is this in mm?"
         )
-
-
-def _inertias(mj: "mujoco.MjModel") -> Iterator[str]:
-    """By the radius of gyration sqrt(I / m): the distance of the mass if it were in one point."""
-    heavy = mj.body_mass > 0
+    # Radius of gyration sqrt(I / m): the distance of the mass if it were in one point.
     wide = np.flatnonzero((heavy & (mj.body_inertia.max(axis=1) > FAR**2 * mj.body_mass))[1:]) + 1
     if wide.size:
         yield (
-            f"inertia of {_named(mj, wide)} has a radius of gyration above {FAR:.0f} m: is this in "
+            f"inertia of {named(wide)} has a radius of gyration above {FAR:.0f} m: is this in "
             "kg mm^2 or g mm^2?"
         )
-
-
-def _ranges(mj: "mujoco.MjModel") -> Iterator[str]:
     limits = np.abs(mj.jnt_range).max(axis=1, initial=0.0)
     hinges = (mj.jnt_type == HINGE) & (mj.jnt_limited == 1)
-    wide = np.flatnonzero(hinges & (limits > TURNS) & (limits <= PLACEHOLDER))
-    if wide.size:
-        names = first_names(mj.joint(int(j)).name for j in wide)
+    far = np.flatnonzero(hinges & (limits > TURNS) & (limits <= PLACEHOLDER))
+    if far.size:
+        names = first_names(mj.joint(int(j)).name for j in far)
         yield f"limits of {names} beyond two turns: are they in degrees?"
 
 
 def urdf_warnings(robot: ET.Element) -> Iterator[str]:
     """Return a warning for origins of a URDF with an angle beyond a turn; its numbers are checked
     before."""
-    parts = (*robot.findall("link"), *robot.findall("joint"))
-    turned = [str(part.get("name")) for part in parts for _ in _turned_origins(part)]
+    turned = []
+    for part in (*robot.findall("link"), *robot.findall("joint")):
+        for origin in (*part.findall("origin"), *part.findall("inertial/origin")):
+            angles = map(float, origin.get("rpy", "0").split())
+            if max(map(abs, angles)) > 2 * math.pi + 1e-3:
+                turned.append(str(part.get("name")))
     if turned:
         yield f"rpy of {first_names(turned)} more than a turn: is this in degrees?"
-
-
-def _turned_origins(part: ET.Element) -> Iterator[ET.Element]:
-    """Origins of a link or joint with an angle of more than a turn."""
-    for origin in (*part.findall("origin"), *part.findall("inertial/origin")):
-        angles = map(float, origin.get("rpy", "0").split())
-        if max(map(abs, angles)) > 2 * math.pi + 1e-3:
-            yield origin
-
-
-def _named(mj: "mujoco.MjModel", bodies: Iterable[int]) -> str:
-    return first_names(mj.body(int(b)).name or "(unnamed)" for b in bodies)
 
 
 LIGHTEST: Final = 1e-4
@@ -242,7 +224,12 @@ def placeholder_reason(robot: "RobotModel") -> str:
     phi, lengths = links[heavy], lengths[heavy]
     if len(phi) == 0:
         return "none of its moving links has a mass"
-    same = _largest_group(phi)
+    # The largest group with equal masses and principal moments.
+    bodies = [body_mass_inertia(one) for one in phi]
+    numbers = np.array([[*np.linalg.eigvalsh(inertia), mass] for mass, _, inertia in bodies])
+    apart = np.abs(numbers[:, None] - numbers[None]).max(axis=2)
+    alike = apart <= ALIKE * np.abs(numbers).max(axis=1)
+    same = alike[alike.sum(axis=1).argmax()]
     many = same.sum() >= max(REPEATED, MOST * len(phi))
     known = lengths[same & (lengths > 0)]
     if many and len(known) > 1 and known.max() > UNEQUAL * known.min():
@@ -255,16 +242,6 @@ def placeholder_reason(robot: "RobotModel") -> str:
     if wide:
         return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
     return ""
-
-
-def _largest_group(phi: Array) -> Array:
-    """Mask (k,) of the largest group with equal masses and principal moments."""
-    bodies = [body_mass_inertia(one) for one in phi]
-    numbers = np.array([[*np.linalg.eigvalsh(inertia), mass] for mass, _, inertia in bodies])
-    scale = np.abs(numbers).max(axis=1)
-    apart = np.abs(numbers[:, None] - numbers[None]).max(axis=2)
-    alike = apart <= ALIKE * scale
-    return np.asarray(alike[alike.sum(axis=1).argmax()])
 
 
 def length(robot: "RobotModel") -> float:

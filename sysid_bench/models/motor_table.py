@@ -10,7 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from sysid_bench import package_folders
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.input_files import parse_toml, read_text
+from sysid_bench.input_files import read_toml
 from sysid_bench.models.manifest import NotNegative, Positive
 from sysid_bench.units import quantity
 
@@ -99,35 +99,27 @@ class Motor:
 def read_motors(file: Path) -> dict[str, Motor]:
     """Return the motors of a file by name; raises UsageError with all its mistakes."""
     try:
-        found = MotorFile.model_validate(parse_toml(read_text(file)))
-    except OSError as error:
-        raise UsageError(f"{file} cannot be read: {error.strerror or error}.") from error
+        found = MotorFile.model_validate(read_toml(file, UsageError))
     except ValidationError as error:
         mistakes = "; ".join(
             f"{'.'.join(map(str, one['loc']))}: {one['msg'].removeprefix('Value error, ')}"
             for one in error.errors()
         )
         raise UsageError(f"{file}: {mistakes}.") from error
-    except ValueError as error:
-        raise UsageError(f"{file} is not valid TOML: {error}.") from error
     for name, keys in found.motor.items():
-        _check(file, name, keys)
+        stages = len(keys.rotor_inertia or (0.0,))
+        if stages not in (1, len(keys.ratio) + 1):
+            raise UsageError(
+                f"{file}: motor.{name}.rotor_inertia has {stages} numbers for {len(keys.ratio)} "
+                "ratios; write that of the rotor, or one more than there are ratios."
+            )
+        fast, rated = keys.no_load_speed, keys.rated_speed
+        if fast is not None and rated is not None and not rated < fast:
+            raise UsageError(
+                f"{file}: motor.{name}.rated_speed must be below no_load_speed; got {rated:.4g} "
+                f"and {fast:.4g} rad/s."
+            )
     return {name: Motor(name, file, keys) for name, keys in found.motor.items()}
-
-
-def _check(file: Path, name: str, keys: MotorKeys) -> None:
-    stages = len(keys.rotor_inertia or (0.0,))
-    if stages not in (1, len(keys.ratio) + 1):
-        raise UsageError(
-            f"{file}: motor.{name}.rotor_inertia has {stages} numbers for {len(keys.ratio)} "
-            "ratios; write that of the rotor, or one more than there are ratios."
-        )
-    fast, rated = keys.no_load_speed, keys.rated_speed
-    if fast is not None and rated is not None and not rated < fast:
-        raise UsageError(
-            f"{file}: motor.{name}.rated_speed must be below no_load_speed; got {rated:.4g} and "
-            f"{fast:.4g} rad/s."
-        )
 
 
 def motor_names() -> Mapping[str, Motor]:

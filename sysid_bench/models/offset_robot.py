@@ -10,7 +10,6 @@ import numpy as np
 from sysid_bench.errors import ModelError
 from sysid_bench.models.coupling.build import group_constraints, group_of
 from sysid_bench.models.coupling.coordinates import coordinates_of
-from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.equalities import equalities_of
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import tree_of
@@ -28,7 +27,12 @@ def with_body_offset(robot: RobotModel, displacements: Mapping[int, BodyOffset])
     reference posture. Raises ModelError for a frame that cannot be displaced.
     """
     spec = robot.spec.copy()
-    poses = {b: _displaced_pose(robot.mj, b, by) for b, by in displacements.items()}
+    poses = {}
+    for b, (shift, turn) in displacements.items():
+        # MuJoCo counts the world as body 0.
+        origin, axes = np.array(robot.mj.body_pos[b + 1]), np.array(robot.mj.body_quat[b + 1])
+        turned = composed_rotation(axes, quaternion_of_rotation(turn))
+        poses[b] = (origin + matrix_of_quaternion(axes) @ shift, turned)
     for b, (position, quaternion) in poses.items():
         body = spec.body(robot.body_names[b])
         body.pos, body.quat = position, quaternion
@@ -63,29 +67,17 @@ def with_scaled_coupling(robot: RobotModel, factors: Mapping[int, float]) -> Rob
     return _rebuilt(robot, spec)
 
 
-def _displaced_pose(mj: mujoco.MjModel, b: int, by: BodyOffset) -> tuple[Array, Array]:
-    """Position (3,) and quaternion (4,) of a body in its parent; MuJoCo counts the world as 0."""
-    position, quaternion = np.array(mj.body_pos[b + 1]), np.array(mj.body_quat[b + 1])
-    shift, turn = by
-    return (
-        position + matrix_of_quaternion(quaternion) @ shift,
-        composed_rotation(quaternion, quaternion_of_rotation(turn)),
-    )
-
-
 def _rebuilt(robot: RobotModel, spec: mujoco.MjSpec) -> RobotModel:
-    """The robot of a changed spec, with the names, limits and parameters of `robot`."""
+    """The robot of a changed spec, with the names, limits and parameters of `robot`, and the same
+    independent joints."""
     mj = spec.compile()
-    coupling = None if robot.coupling is None else _rebuilt_coupling(robot, robot.coupling, mj)
+    coupling = robot.coupling
+    if coupling is not None:
+        coordinates = coordinates_of(robot.joints, mj.qpos0, robot.nv)
+        independent = frozenset(coupling.independent.tolist())
+        groups = tuple(
+            group_of(members, coordinates, coupling.names, frozenset(), independent)
+            for members in group_constraints(equalities_of(mj).constraints)
+        )
+        coupling = replace(coupling, groups=groups, coordinates=coordinates)
     return replace(robot, mj=mj, spec=spec, tree=tree_of(mj), coupling=coupling)
-
-
-def _rebuilt_coupling(robot: RobotModel, coupling: Coupling, mj: mujoco.MjModel) -> Coupling:
-    """The coupling of a changed model, with the same independent joints and limits."""
-    coordinates = coordinates_of(robot.joints, mj.qpos0, robot.nv)
-    independent = frozenset(coupling.independent.tolist())
-    groups = tuple(
-        group_of(members, coordinates, coupling.names, frozenset(), independent)
-        for members in group_constraints(equalities_of(mj).constraints)
-    )
-    return replace(coupling, groups=groups, coordinates=coordinates)

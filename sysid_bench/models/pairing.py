@@ -136,14 +136,10 @@ def _add_body(
         if kind == FREE:
             placement = pin.SE3.Identity()  # qpos is absolute
         # Pinocchio turns a joint about the origin of its frame, which is the anchor therefore.
-        joint = model.addJoint(joint, _joint_model(mj, j), placement * anchor, f"joint{j}")
+        if kind in _UNDIRECTED:
+            along = _UNDIRECTED[kind]()
+        else:
+            along = _ALONG_AXIS[kind](np.array(mj.jnt_axis[j]) / np.linalg.norm(mj.jnt_axis[j]))
+        joint = model.addJoint(joint, along, placement * anchor, f"joint{j}")
         placement = anchor.inverse()
     return joint, placement
-
-
-def _joint_model(mj: mujoco.MjModel, j: int) -> pin.JointModel:
-    kind = int(mj.jnt_type[j])
-    if kind in _UNDIRECTED:
-        return _UNDIRECTED[kind]()
-    axis = np.array(mj.jnt_axis[j]) / np.linalg.norm(mj.jnt_axis[j])
-    return _ALONG_AXIS[kind](axis)

@@ -43,10 +43,18 @@ def inertia_of(text: str, mass: float) -> tuple[float, float, float, float, floa
     # The last word may be the unit of all sizes.
     words = rest.split()
     unit = words.pop() if words and words[-1] in _METRES else "m"
-    try:
-        sizes = [_length(word, unit) for word in words]
-    except UsageError as error:
-        raise UsageError(f"The solid {text!r}: {error}") from error
+    sizes = []
+    for size in words:  # "50" in the unit of the whole solid, or "50mm" in its own
+        try:
+            number, written = parse_quantity(size)
+        except UsageError as error:
+            raise UsageError(f"The solid {text!r}: {error}") from error
+        if written and written not in _METRES:
+            raise UsageError(
+                f"The solid {text!r}: {size!r} has the unit {written!r}; expected one of "
+                f"{', '.join(_METRES)}."
+            )
+        sizes.append(number * _METRES[written or unit])
     if not all(0 < size <= _LARGEST for size in sizes):
         raise UsageError(f"The solid {text!r} has a size outside of 0 to {_LARGEST:.0e} m.")
     match word, sizes:
@@ -103,19 +111,9 @@ def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
     return Payload(name, mass, tuple(com), tuple(six))  # type: ignore[arg-type]
 
 
-def _length(word: str, unit: str) -> float:
-    """Metres of "50" in the unit of the whole solid, or of "50mm" in the unit written there."""
-    number, written = parse_quantity(word)
-    if written and written not in _METRES:
-        raise UsageError(
-            f"{word!r} has the unit {written!r}; expected one of {', '.join(_METRES)}."
-        )
-    return number * _METRES[written or unit]
-
-
 def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list[float]:
     listed = isinstance(values, (list, tuple)) and len(values) == count
-    if not (listed and all(map(_is_number, values))):
+    if not listed or any(isinstance(x, bool) or not isinstance(x, (int, float)) for x in values):
         raise UsageError(
             f"A payload's {key} needs {count} number(s) in SI units; got {spec.get(key)!r}."
         )
@@ -126,21 +124,14 @@ def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list
     return [float(x) for x in values]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _make(name: str, mass: float, com: tuple[float, float, float], shape: str) -> Payload:
-    return Payload(name, mass, com, inertia_of(shape, mass))
-
-
+_NAMED: Final[tuple[tuple[str, float, tuple[float, float, float], str], ...]] = (
+    ("none", 0.0, (0.0, 0.0, 0.0), "point"),
+    ("point-1kg", 1.0, (0.0, 0.0, 0.0), "point"),
+    ("sphere-1kg", 1.0, (0.0, 0.0, 0.05), "sphere 0.05 m"),
+    ("sphere-offset-1kg", 1.0, (0.06, -0.04, 0.08), "sphere 0.05 m"),
+    ("box-2kg", 2.0, (0.0, 0.0, 0.06), "box 0.1 0.08 0.12 m"),
+    ("rod-1kg", 1.0, (0.0, 0.0, 0.02), "rod 0.3 m"),
+)
 PAYLOADS: Final[Mapping[str, Payload]] = MappingProxyType(
-    {
-        "none": Payload("none"),
-        "point-1kg": _make("point-1kg", 1.0, (0.0, 0.0, 0.0), "point"),
-        "sphere-1kg": _make("sphere-1kg", 1.0, (0.0, 0.0, 0.05), "sphere 0.05 m"),
-        "sphere-offset-1kg": _make("sphere-offset-1kg", 1.0, (0.06, -0.04, 0.08), "sphere 0.05 m"),
-        "box-2kg": _make("box-2kg", 2.0, (0.0, 0.0, 0.06), "box 0.1 0.08 0.12 m"),
-        "rod-1kg": _make("rod-1kg", 1.0, (0.0, 0.0, 0.02), "rod 0.3 m"),
-    }
+    {name: Payload(name, m, com, inertia_of(solid, m)) for name, m, com, solid in _NAMED}
 )

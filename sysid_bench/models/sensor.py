@@ -5,7 +5,7 @@ the origin of the sensor frame and in its axes (MuJoCo's sign): Y_n phi where no
 sub-tree, Y_n phi - X f_x with an external wrench f_x on it (Traversaro et al. 2015, eq. 4).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Protocol
@@ -16,7 +16,7 @@ import numpy as np
 from sysid_bench.errors import ModelError, UnsupportedError, unknown_name
 from sysid_bench.models.coupling.equalities import closure_frames
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.tree import FREE, HINGE, SLIDE, Link, Tree, TreeJoint, tree_of
+from sysid_bench.models.tree import FREE, HINGE, SLIDE, Tree, TreeJoint, tree_of
 from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.spatial import matrix_of_quaternion
 from sysid_bench.types import Array, Trajectory
@@ -95,10 +95,14 @@ def instruments_of(robot: RobotModel, cuts: Sequence[SensorSubtree] = ()) -> Ins
             f"{robot.name}: two of the sensors {', '.join(cut.name for cut in cuts)} cut at one "
             "body; they measure the same wrench."
         )
-    joints = {
-        cut.body: _still_joints(cut, robot.mj.nq + 6 * k, robot.nv + 6 * k)
-        for k, cut in enumerate(cuts)
-    }
+    joints = {}
+    for s, cut in enumerate(cuts):
+        # Three hinges, then three slides along the axes of the sensor frame: a wrench [n; f].
+        axes = enumerate(zip([HINGE] * 3 + [SLIDE] * 3, [*cut.R.T, *cut.R.T], strict=True), 6 * s)
+        joints[cut.body] = tuple(
+            TreeJoint(kind, robot.mj.nq + k, robot.nv + k, axis, cut.p, 0.0)
+            for k, (kind, axis) in axes
+        )
     wrenches = tuple(row for cut in cuts for row in cut.rows)
     return Instruments(
         cuts=tuple(cuts),
@@ -106,15 +110,6 @@ def instruments_of(robot: RobotModel, cuts: Sequence[SensorSubtree] = ()) -> Ins
         rows=robot.rows + wrenches,
         measured=robot.torque_rows + wrenches,
         kinds=robot.torque_units + KINDS * len(cuts),
-    )
-
-
-def _still_joints(cut: SensorSubtree, qadr: int, vadr: int) -> tuple[TreeJoint, ...]:
-    """Three hinges, then three slides along the axes of the sensor frame: a wrench [n; f]."""
-    kinds, axes = [HINGE] * 3 + [SLIDE] * 3, [*cut.R.T, *cut.R.T]
-    return tuple(
-        TreeJoint(kind, qadr + k, vadr + k, axis, cut.p, 0.0)
-        for k, (kind, axis) in enumerate(zip(kinds, axes, strict=True))
     )
 
 
@@ -154,25 +149,16 @@ def floating_subtree(robot: RobotModel, cut: SensorSubtree) -> FloatingSubtree:
     carrier = np.full(len(whole.carrier), -1)
     bodies = list(cut.bodies)
     carrier[bodies] = [new_index.get(int(old), -1) for old in whole.carrier[bodies]]
-    links = _floating_links([whole.links[i] for i in inside], new_index, free)
-    tree = replace(whole, links=links, carrier=carrier)
-    free_rows = tuple(f"{cut.name}.free{k}" for k in range(6))
-    return FloatingSubtree(cut, tree, robot.rows + free_rows, free)
-
-
-def _floating_links(
-    links: Sequence[Link], new_index: Mapping[int, int], free: TreeJoint
-) -> tuple[Link, ...]:
-    """Links of a sub-tree, the first one on a free joint alone; degrees of freedom are counted from
-    there."""
-    root, *others = links
-    floating = [replace(root, parent=-1, joints=(free,), dofs=np.array(free.dofs))]
+    # The first link is on the free joint alone; degrees of freedom are counted from there.
+    root, *others = (whole.links[i] for i in inside)
+    links = [replace(root, parent=-1, joints=(free,), dofs=np.array(free.dofs))]
     for link in others:
         parent = new_index[link.parent]
         own = [dof for joint in link.joints for dof in joint.dofs]
-        dofs = np.array([*floating[parent].dofs, *own])
-        floating.append(replace(link, parent=parent, dofs=dofs))
-    return tuple(floating)
+        links.append(replace(link, parent=parent, dofs=np.array([*links[parent].dofs, *own])))
+    tree = replace(whole, links=tuple(links), carrier=carrier)
+    free_rows = tuple(f"{cut.name}.free{k}" for k in range(6))
+    return FloatingSubtree(cut, tree, robot.rows + free_rows, free)
 
 
 def subtree_at(
@@ -191,14 +177,17 @@ def subtree_at(
     others = tuple(named) if others is None else others
     ends = {_frame(robot, named.get(other, other))[0]: other for other in others}
     ends.pop(body, None)  # the sensor itself, where it is one of the others
-    bodies = _downstream(robot, body, set(ends))
+    bodies = [body]  # and its descendants, without those at the ends and their descendants
+    for b in range(body + 1, len(robot.body_names)):  # parents come before their children
+        if _parent(robot, b) in bodies and b not in ends:
+            bodies.append(b)
     return SensorSubtree(
         name=sensor,
         at=at,
         body=body,
         R=R,
         p=p,
-        bodies=bodies,
+        bodies=tuple(bodies),
         end_sensors=tuple(name for end, name in ends.items() if _parent(robot, end) in bodies),
     )
 
@@ -232,26 +221,27 @@ def end_body(robot: RobotModel, cut: SensorSubtree) -> int:
     """Return the tool body where it is distal to the sensor, else the body with the most joints."""
     if robot.tool_body in cut.bodies:
         return robot.tool_body
-
-    def count_dofs(body: int) -> int:
-        link = int(robot.tree.carrier[body])
-        return 0 if link < 0 else len(robot.tree.links[link].dofs)
-
-    return max(cut.bodies, key=count_dofs)
+    carrier, links = robot.tree.carrier, robot.tree.links
+    return max(cut.bodies, key=lambda b: len(links[carrier[b]].dofs) if carrier[b] >= 0 else 0)
 
 
 def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
     """(body, R, p) of a fixed joint, a site or a body."""
-    fixed = _child_links(robot, fixed=True)
-    if at in fixed:
-        link = fixed[at]
-        if link not in robot.body_names:
-            raise ModelError(
-                f"{robot.name}: the link {link!r} distal to the sensor is not a body of the robot."
-            )
-        return robot.body_names.index(link), np.eye(3), np.zeros(3)
+    fixed: dict[str, str] = {}
+    moving = {joint.name for joint in robot.joints}
+    if robot.format == "urdf" and robot.text:
+        # From the text: the compiled model welds the links of fixed joints and forgets their names.
+        for joint in parse_xml(robot.text, robot.name).findall(".//joint[child]"):
+            if joint.get("type") == "fixed":
+                fixed[joint.get("name", "")] = joint.findall("child")[0].get("link", "")
+            else:
+                moving.add(joint.get("name", ""))
+    if at in fixed and fixed[at] not in robot.body_names:
+        raise ModelError(
+            f"{robot.name}: the link {fixed[at]!r} distal to the sensor is not a body of the robot."
+        )
     sites = {robot.mj.site(s).name: s for s in range(robot.mj.nsite)}
-    if at in sites:
+    if at in sites and at not in fixed:
         s = sites[at]
         body = int(robot.mj.site_bodyid[s]) - 1
         if body < 0:
@@ -261,41 +251,18 @@ def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
             )
         R = matrix_of_quaternion(np.array(robot.mj.site_quat[s]))
         return body, R, np.array(robot.mj.site_pos[s])
-    if at in robot.body_names:
-        return robot.body_names.index(at), np.eye(3), np.zeros(3)
-    if at in {*_child_links(robot, fixed=False), *(joint.name for joint in robot.joints)}:
+    if fixed.get(at, at) in robot.body_names:
+        return robot.body_names.index(fixed.get(at, at)), np.eye(3), np.zeros(3)
+    if at in moving:
         raise UnsupportedError(
             f"{robot.name}: {at!r} is a moving joint; a sensor sits at a fixed joint, a site "
             "or a body: name the body distal to it."
         )
-    frames = [*fixed, *sites, *robot.body_names]
     sensors = robot.manifest.sensors
     declared = ", ".join(f"{s.name} at {s.at}" for s in sensors[:8])
     advice = f"Sensors of the robot: {declared}." if declared else ""
-    known = [*(s.name for s in sensors), *frames]
+    known = [*(s.name for s in sensors), *fixed, *sites, *robot.body_names]
     raise unknown_name("sensor, fixed joint, site or body", at, known, advice)
-
-
-def _child_links(robot: RobotModel, fixed: bool) -> dict[str, str]:
-    """Child links of the fixed or of the moving joints of a URDF, by joint name."""
-    if robot.format != "urdf" or not robot.text:
-        return {}
-    # From the text: the compiled model welds the links of fixed joints and forgets their names.
-    joints = parse_xml(robot.text, robot.name).findall(".//joint[child]")
-    return {
-        joint.get("name", ""): joint.findall("child")[0].get("link", "")
-        for joint in joints
-        if (joint.get("type") == "fixed") == fixed
-    }
-
-
-def _downstream(robot: RobotModel, body: int, ends: set[int]) -> tuple[int, ...]:
-    """The body and its descendants, without `ends` and their descendants."""
-    inside = [body]
-    for b in range(body + 1, len(robot.body_names)):  # parents come before their children
-        if _parent(robot, b) in inside and b not in ends:
-            inside.append(b)
-    return tuple(inside)
 
 
 def _parent(robot: RobotModel, body: int) -> int:

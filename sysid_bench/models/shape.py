@@ -1,7 +1,7 @@
 """Shapes of bodies for pictures, and the boxes that bound their centres of mass."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -36,22 +36,45 @@ def _urdf_shapes(robot: RobotModel, tag: str) -> Iterator[Shape]:
     path = robot.manifest.path
     bodies = {name: i for i, name in enumerate(robot.body_names)}
     for link in parse_xml(read_file(path), path.name).findall("link"):
-        name = str(link.get("name"))
-        if name in bodies:
-            for element in link.findall(tag):
-                yield from _element_shapes(element, bodies[name], path)
+        body = bodies.get(str(link.get("name")))
+        for element in link.findall(tag) if body is not None else ():
+            origin = element.find("origin")
+            with suppress(ValueError):  # a picture without this shape is better than none
+                position = _numbers(origin, "xyz", 3)
+                quaternion = urdf_quaternion(_numbers(origin, "rpy", 3))
+                for geometry in element.findall("geometry[1]/*"):
+                    found = _urdf_geometry(geometry, path)
+                    if body is not None and found is not None:
+                        kind, size, file = found
+                        yield Shape(body, kind, size, position, quaternion, file)
 
 
-def _element_shapes(element: ET.Element, body: int, model: Path) -> Iterator[Shape]:
-    origin = element.find("origin")
-    with suppress(ValueError):  # a picture without this shape is better than none
-        position = _numbers(origin, "xyz", 3)
-        quaternion = urdf_quaternion(_numbers(origin, "rpy", 3))
-        for geometry in element.findall("geometry[1]/*"):
-            file = _mesh_file(geometry, model)
-            if geometry.tag in _URDF_SIZES and file is not None:
-                kind, size = _URDF_SIZES[geometry.tag]
-                yield Shape(body, kind, size(geometry), position, quaternion, file)
+def _urdf_geometry(
+    geometry: ET.Element, model: Path
+) -> tuple[ShapeKind, tuple[float, ...], str] | None:
+    """Kind, size and file of a geometry; None for others, and for a mesh that does not exist."""
+    match geometry.tag:
+        case "mesh":
+            written = str(geometry.get("filename", ""))  # package://NAME/..., file://..., relative
+            files = [model.parent / written.removeprefix("file://")]
+            if written.startswith("package://"):
+                # The folder of the package is searched above the model, with its name and without.
+                rest = Path(written.removeprefix("package://"))
+                parts = (rest, Path(*rest.parts[1:]))
+                files = [parent / part for parent in model.parents for part in parts]
+            readable = files if written.lower().endswith(_MESHES) else []
+            file = next((str(file) for file in readable if is_file(file)), None)
+            scale = tuple(_numbers(geometry, "scale", 3, default=1.0)) if file else ()
+            return None if file is None else ("mesh", scale, file)
+        case "box":
+            return "box", tuple(0.5 * x for x in _numbers(geometry, "size", 3)), ""
+        case "sphere":
+            return "sphere", (float(geometry.get("radius", 0)),), ""
+        case "cylinder" | "capsule" as kind:
+            # URDF states full lengths, MuJoCo and `Shape` half of them.
+            half = 0.5 * float(geometry.get("length", 0))
+            return kind, (float(geometry.get("radius", 0)), half), ""
+    return None
 
 
 def body_frames(robot: RobotModel, q: Array) -> tuple[Array, Array]:
@@ -75,52 +98,6 @@ def _geoms(robot: RobotModel) -> Iterator[Shape]:
             kind, count = _GEOMS[type_]
             size = tuple(mj.geom_size[g][:count].tolist())
             yield Shape(body, kind, size, np.array(mj.geom_pos[g]), np.array(mj.geom_quat[g]))
-
-
-def _mesh_scale(mesh: ET.Element) -> tuple[float, ...]:
-    return tuple(_numbers(mesh, "scale", 3, default=1.0))
-
-
-def _half_lengths(box: ET.Element) -> tuple[float, ...]:
-    return tuple(0.5 * x for x in _numbers(box, "size", 3))
-
-
-def _radius(sphere: ET.Element) -> tuple[float, ...]:
-    return (float(sphere.get("radius", 0)),)
-
-
-def _radius_and_half_length(cylinder: ET.Element) -> tuple[float, ...]:
-    # URDF states full lengths, MuJoCo and `Shape` half of them.
-    return (float(cylinder.get("radius", 0)), 0.5 * float(cylinder.get("length", 0)))
-
-
-_URDF_SIZES: Final[dict[str, tuple[ShapeKind, Callable[[ET.Element], tuple[float, ...]]]]] = {
-    "mesh": ("mesh", _mesh_scale),
-    "box": ("box", _half_lengths),
-    "sphere": ("sphere", _radius),
-    "cylinder": ("cylinder", _radius_and_half_length),
-    "capsule": ("capsule", _radius_and_half_length),
-}
-"""Kind of each URDF geometry, and the reader of its size."""
-
-
-def _mesh_file(geometry: ET.Element, model: Path) -> str | None:
-    """The file of a mesh, written as package://NAME/..., file://... or a relative path; None where
-    it does not exist, empty for other geometries."""
-    if geometry.tag != "mesh":
-        return ""
-    written = str(geometry.get("filename", ""))
-    files = _candidates(written, model) if written.lower().endswith(_MESHES) else []
-    return next((str(file) for file in files if is_file(file)), None)
-
-
-def _candidates(written: str, model: Path) -> list[Path]:
-    if not written.startswith("package://"):
-        return [model.parent / written.removeprefix("file://")]
-    # The folder of the package is searched above the model, with its name and without.
-    rest = Path(written.removeprefix("package://"))
-    parts = (rest, Path(*rest.parts[1:]))
-    return [parent / part for parent in model.parents for part in parts]
 
 
 def _numbers(element: ET.Element | None, key: str, count: int, default: float = 0.0) -> Array:
@@ -152,24 +129,22 @@ def body_extents(robot: RobotModel) -> Mapping[str, BodyExtents]:
     Generous: it only excludes centres of mass that are impossible. A payload, of which nothing is
     known, has none.
     """
-    return {
-        name: _extent(robot.mj, i + 1)  # MuJoCo counts the world
-        for i, name in enumerate(robot.body_names)
-        if i != robot.payload_body
-    }
-
-
-def _extent(mj: "mujoco.MjModel", body: int) -> BodyExtents:
-    points = _points(mj, body)
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = MARGIN if (mj.body_parentid[1:] == body).any() else LAST
-    reach = margin + SHARE * float(np.linalg.norm(high - low))
-    volume = float(np.prod(high - low + 2 * HOUSING))
-    return BodyExtents(low - reach, high + reach, volume)
+    mj, extents = robot.mj, {}
+    for i, name in enumerate(robot.body_names):
+        if i == robot.payload_body:
+            continue
+        points = _points(mj, i + 1)  # MuJoCo counts the world
+        low, high = points.min(axis=0), points.max(axis=0)
+        margin = MARGIN if (mj.body_parentid[1:] == i + 1).any() else LAST
+        reach = margin + SHARE * float(np.linalg.norm(high - low))
+        volume = float(np.prod(high - low + 2 * HOUSING))
+        extents[name] = BodyExtents(low - reach, high + reach, volume)
+    return extents
 
 
 def _points(mj: "mujoco.MjModel", body: int) -> Array:
-    """Points (k, 3) of a body in its frame; those of welded children are turned into it."""
+    """Points (k, 3) of a body in its frame: the origins of its children are some, and all points
+    of those that are welded to it."""
     points = [np.zeros(3)]
     points += [np.array(mj.jnt_pos[j]) for j in np.flatnonzero(mj.jnt_bodyid == body)]
     for g in np.flatnonzero(mj.geom_bodyid == body):
@@ -179,14 +154,9 @@ def _points(mj: "mujoco.MjModel", body: int) -> Array:
         R = matrix_of_quaternion(np.array(mj.geom_quat[g]))
         points += list(np.array(mj.geom_pos[g]) + corners @ R.T)
     for child in np.flatnonzero(mj.body_parentid == body):
-        points += _child_points(mj, int(child))
+        origin = np.array(mj.body_pos[child])
+        points.append(origin)
+        if mj.body_jntnum[child] == 0:
+            R = matrix_of_quaternion(np.array(mj.body_quat[child]))
+            points += list(origin + _points(mj, int(child)) @ R.T)
     return np.array(points)
-
-
-def _child_points(mj: "mujoco.MjModel", child: int) -> list[Array]:
-    """The origin of a child in its parent's frame, and all its points where it is welded to it."""
-    origin = np.array(mj.body_pos[child])
-    if mj.body_jntnum[child] > 0:
-        return [origin]
-    R = matrix_of_quaternion(np.array(mj.body_quat[child]))
-    return [origin, *(origin + _points(mj, child) @ R.T)]

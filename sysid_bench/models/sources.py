@@ -40,16 +40,13 @@ _READ: Final[Mapping[str, Callable[[str], Any]]] = {
 def with_settings(source: str, settings: Mapping[str, Any]) -> str:
     """Return a source with settings after it, those that are None left out; settings that the
     source has already stay unless they are given anew."""
-    plain, old = _divided(source)
-    texts = {key: _text(value) for key, value in settings.items() if value is not None}
-    given = old | texts
+    plain, given = _divided(source)
+    for key, value in settings.items():
+        if isinstance(value, bool):
+            given[key] = str(value).lower()
+        elif value is not None:
+            given[key] = str(value.resolve() if isinstance(value, Path) else value)
     return f"{plain}{SEPARATOR}{urlencode(given)}" if given else source
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return str(value.resolve()) if isinstance(value, Path) else str(value)
 
 
 def source_settings(source: str) -> tuple[str, dict[str, Any]]:
@@ -142,14 +139,12 @@ _DEEPEST: Final = 8
 
 
 class _Outline(NamedTuple):
-    """Root element of an XML file, all its elements, and the files that it includes."""
+    """Root element of an XML file ("" where it cannot be read), all its elements, and the files
+    that it includes."""
 
-    root: str
-    tags: frozenset[str]
-    included: tuple[str, ...]
-
-
-_NO_OUTLINE: Final = _Outline("", frozenset(), ())
+    root: str = ""
+    tags: frozenset[str] = frozenset()
+    included: tuple[str, ...] = ()
 
 
 def model_files(folder: Path, scenes: bool = False) -> list[Path]:
@@ -196,7 +191,7 @@ def _outline(file: Path) -> _Outline:
     try:
         return _read_outline(file, file.stat().st_mtime_ns)
     except (OSError, ValueError, SysidBenchError):
-        return _NO_OUTLINE
+        return _Outline()
 
 
 @lru_cache(maxsize=4096)
@@ -209,12 +204,11 @@ def _read_outline(file: Path, changed: int) -> _Outline:
 
 def _is_model(file: Path, depth: int) -> bool:
     outline = _outline(file)
-    if outline is _NO_OUTLINE:
+    if not outline.root:
         return file.suffix == ".urdf"  # its error is a finding
     if outline.root not in ("robot", "mujoco"):
         return False
-    tags = _tags(file, depth)
-    return "joint" in tags and ("link" if outline.root == "robot" else "body") in tags
+    return {"joint", "link" if outline.root == "robot" else "body"} <= _tags(file, depth)
 
 
 def _tags(file: Path, depth: int) -> frozenset[str]:

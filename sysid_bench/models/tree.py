@@ -95,19 +95,8 @@ def tree_of(mj: mujoco.MjModel, more: Mapping[int, tuple[TreeJoint, ...]] = NOTH
 
     `more`: further joints of body b after its own; their addresses in q and v follow the model's.
     """
-    links, carrier, poses = _links(mj, more)
-    X = np.array([inertia_transform(R, p) for R, p in poses[1:]]).reshape(-1, 10, 10)
-    added = [joint.kind for joint in chain.from_iterable(more.values())]
-    nq = mj.nq + sum(COORDINATES[kind] for kind in added)
-    nv = mj.nv + sum(DOFS[kind] for kind in added)
-    return Tree(tuple(links), np.array(carrier[1:], dtype=int), X, gravity_of(mj), nq, nv)
-
-
-def _links(
-    mj: mujoco.MjModel, more: Mapping[int, tuple[TreeJoint, ...]]
-) -> tuple[list[Link], list[int], list[_Pose]]:
-    """The links, and the carrier of each body of MuJoCo with the pose of the body in it."""
     links: list[Link] = []
+    # Carrier of each body of MuJoCo, and the pose of the body in it.
     carrier: list[int] = [-1]
     poses: list[_Pose] = [_IDENTITY]
     for b in range(1, mj.nbody):
@@ -127,7 +116,11 @@ def _links(
             parent, pose = len(links) - 1, _IDENTITY
         carrier.append(parent)
         poses.append(pose)
-    return links, carrier, poses
+    X = np.array([inertia_transform(R, p) for R, p in poses[1:]]).reshape(-1, 10, 10)
+    added = [joint.kind for joint in chain.from_iterable(more.values())]
+    nq = mj.nq + sum(COORDINATES[kind] for kind in added)
+    nv = mj.nv + sum(DOFS[kind] for kind in added)
+    return Tree(tuple(links), np.array(carrier[1:], dtype=int), X, gravity_of(mj), nq, nv)
 
 
 def gravity_of(mj: mujoco.MjModel) -> Array:

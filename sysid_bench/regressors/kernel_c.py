@@ -80,7 +80,10 @@ def select_kernel() -> KernelSelection:
     try:
         # The library for the wanted instruction set, or for the fastest of this machine.
         dll = c_library(SOURCE, "libregressor", "kernel_source")
-        usable = [level for level in LEVELS if _usable(dll, level)]
+        names = {
+            level: suffix for level, suffix in LEVELS.items() if hasattr(dll, f"work_{suffix}")
+        }
+        usable = [level for level, suffix in names.items() if dll.kernel_runs(suffix.encode())]
         if wanted in LEVELS and wanted not in usable:
             raise OSError(f"{wanted} is not supported by this machine; it has {', '.join(usable)}")
         return KernelSelection(Library(dll, wanted if wanted in LEVELS else usable[0]))
@@ -88,9 +91,10 @@ def select_kernel() -> KernelSelection:
         return KernelSelection(None, str(error))
 
 
-def _usable(dll: Any, level: str) -> bool:
-    suffix = LEVELS[level]
-    return hasattr(dll, f"work_{suffix}") and bool(dll.kernel_runs(suffix.encode()))
+def usable_levels(dll: Any) -> list[str]:
+    """Return the instruction sets that the library and this processor have, fastest first."""
+    compiled = {name: suffix for name, suffix in LEVELS.items() if hasattr(dll, f"work_{suffix}")}
+    return [name for name, suffix in compiled.items() if dll.kernel_runs(suffix.encode())]
 
 
 class _Motion(ctypes.Structure):

@@ -162,7 +162,14 @@ class _Plan:
     def __init__(self, tree: Tree, start: dict[int, int]) -> None:
         self.tree, self.next = tree, start
         self.last = np.cumsum([len(link.joints) for link in tree.links]) - 1
-        self.motions = _motions(tree)
+        # (joint, motion code) of every degree of freedom.
+        self.motions: dict[int, tuple[int, int]] = {}
+        about, world = range(ABOUT_X, ABOUT_X + 3), range(WORLD_X, WORLD_X + 3)
+        for j, joint in enumerate(tree.joints):
+            parts = [ALONG if joint.kind == SLIDE else ABOUT]
+            if joint.kind in (FREE, BALL):
+                parts = [*world, *about] if joint.kind == FREE else [*about]
+            self.motions |= {dof: (j, part) for dof, part in zip(joint.dofs, parts, strict=True)}
         self.frame: list[int] = []
         self.slot: list[Array] = []
         self.outputs: list[int] = []
@@ -210,20 +217,6 @@ class _Plan:
         self.first.append(len(self.pairs))
 
 
-def _motions(tree: Tree) -> dict[int, tuple[int, int]]:
-    """(joint, motion code) of every degree of freedom."""
-    motions: dict[int, tuple[int, int]] = {}
-    for j, joint in enumerate(tree.joints):
-        if joint.kind == FREE:
-            parts = [WORLD_X, WORLD_X + 1, WORLD_X + 2, ABOUT_X, ABOUT_X + 1, ABOUT_X + 2]
-        elif joint.kind == BALL:
-            parts = [ABOUT_X, ABOUT_X + 1, ABOUT_X + 2]
-        else:
-            parts = [ALONG if joint.kind == SLIDE else ABOUT]
-        motions |= {dof: (j, part) for dof, part in zip(joint.dofs, parts, strict=True)}
-    return motions
-
-
 def _runs(touched: list[Array], starts: Array, width: int) -> list[list[tuple[int, int, int]]]:
     """(value or -1 for zeros, column, length) of every row's runs of neighbouring columns."""
     rows = []
@@ -253,7 +246,10 @@ def _layout(
         *_floats(terms[4]),
     ]
     struct = _filled(CPlan, of_plan, len(plan.frame), len(plan.terms), size)
-    run_struct, of_runs = _run_struct(runs)
+    # Runs of all rows, one row after the other.
+    width = sum(length for _, _, length in runs[0]) if runs else 0
+    flat = np.array([run for row in runs for run in row], dtype=np.int64).reshape(-1, 3).T
+    of_runs = _integers(np.cumsum([0, *map(len, runs)]), *flat)
     dofs, starts, count = _integers(*rows)
     return KernelLayout(
         tree=tree,
@@ -263,34 +259,13 @@ def _layout(
         rows=dofs,
         starts=starts,
         count=count,
-        runs=run_struct,
+        runs=_filled(CRuns, of_runs, len(runs), width),
     )
-
-
-def _run_struct(runs: list[list[tuple[int, int, int]]]) -> tuple[Any, list[Array]]:
-    """Struct of the runs of all rows, one row after the other, and its arrays."""
-    width = sum(length for _, _, length in runs[0]) if runs else 0
-    flat = np.array([run for row in runs for run in row], dtype=np.int64).reshape(-1, 3).T
-    arrays = _integers(np.cumsum([0, *map(len, runs)]), *flat)
-    return _filled(CRuns, arrays, len(runs), width), arrays
 
 
 def _tree(tree: Tree) -> tuple[Any, list[Array]]:
     """Struct of the joints in tree order, and its arrays."""
-    names = ("kind", "qadr", "vadr", "axis", "anchor", "q0")
-    kind, qadr, vadr, axis, anchor, q0 = (
-        [getattr(joint, name) for joint in tree.joints] for name in names
-    )
-    before, R0, p0 = _joint_frames(tree)
-    arrays = [
-        *_integers(kind, before, qadr, vadr),
-        *_floats(R0, p0, axis, anchor, q0, tree.gravity),
-    ]
-    return _filled(CTree, arrays, len(tree.joints), tree.nq, tree.nv), arrays
-
-
-def _joint_frames(tree: Tree) -> tuple[list[int], list[Array], list[Array]]:
-    """Frame of each joint: the joint before it (-1: the world) and its pose in that one's frame."""
+    # Frame of each joint: the joint before it (-1: the world) and its pose in that one's frame.
     before: list[int] = []
     R0: list[Array] = []
     p0: list[Array] = []
@@ -302,7 +277,13 @@ def _joint_frames(tree: Tree) -> tuple[list[int], list[Array], list[Array]]:
         R0 += [link.R0, *[np.eye(3)] * more]
         p0 += [link.p0, *[np.zeros(3)] * more]
         last[i] = len(before) - 1
-    return before, R0, p0
+    kind, qadr, vadr, axis, anchor, q0 = (
+        [getattr(joint, name) for joint in tree.joints]
+        for name in ("kind", "qadr", "vadr", "axis", "anchor", "q0")
+    )
+    integers, floats = (kind, before, qadr, vadr), (R0, p0, axis, anchor, q0, tree.gravity)
+    arrays = [*_integers(*integers), *_floats(*floats)]
+    return _filled(CTree, arrays, len(tree.joints), tree.nq, tree.nv), arrays
 
 
 def _filled(struct: Any, arrays: Sequence[Array], *numbers: int) -> Any:

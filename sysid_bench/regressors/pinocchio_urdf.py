@@ -7,7 +7,6 @@ planar joint becomes two slides and a hinge, as in MuJoCo.
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 import pinocchio as pin
@@ -19,8 +18,6 @@ from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.regressors.pinocchio import joint_columns
 from sysid_bench.spatial import inertia_transform
 from sysid_bench.types import Array, Regressor, Trajectory
-
-_ROOT: Final = "root_joint"  # the name that Pinocchio gives to the joint of a floating base
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +37,8 @@ class _UrdfModel:
 
     def joint(self, name: str, kind: str) -> pin.JointModel:
         """Joint model; raises UnsupportedError if the parser dropped it."""
-        urdf_name = _ROOT if kind == "free" else self.joints.get(name, "")
+        # Pinocchio calls the joint of a floating base so.
+        urdf_name = "root_joint" if kind == "free" else self.joints.get(name, "")
         if not self.model.existJointName(urdf_name):
             raise UnsupportedError(f"Pinocchio's parser has no joint {name!r}.")
         return self.model.joints[self.model.getJointId(urdf_name)]
@@ -82,12 +80,22 @@ def _urdf_model(robot: RobotModel) -> _UrdfModel:
     if robot.payload:
         raise UnsupportedError("The payload is mounted in the compiled model, not in the URDF.")
     text = parse_xml(robot.text, robot.name)
-    _remove_floating_joint(text)
+    # Pinocchio's root joint takes the role of a floating joint below the world link.
+    below = [j for j in text.findall("joint") if _end(j, "parent").get("link") == "world"]
+    if [joint.get("type") for joint in below] == ["floating"]:
+        for element in (*below, *text.findall("link[@name='world']")):
+            text.remove(element)
     for element in text.findall("joint"):
         if element.get("type") == "planar":
             _split_planar(text, element, robot)
     bodies, joints = _rename(text)
-    model = _parsed(text, [pin.JointModelFreeFlyer()] if robot.floating else [])
+    root = [pin.JointModelFreeFlyer()] if robot.floating else []
+    try:
+        model = pin.buildModelFromXML(ET.tostring(text, encoding="unicode"), *root)
+    except (ValueError, RuntimeError) as error:
+        raise UnsupportedError(
+            f"Pinocchio's parser rejects the URDF: {' '.join(str(error).split())}"
+        ) from error
     if model.nv != robot.nv:
         raise UnsupportedError(
             f"Pinocchio's parser finds {model.nv} degrees of freedom, MuJoCo {robot.nv}."
@@ -96,31 +104,11 @@ def _urdf_model(robot: RobotModel) -> _UrdfModel:
     return _UrdfModel(model, bodies, joints)
 
 
-def _parsed(text: ET.Element, root: list[pin.JointModel]) -> pin.Model:
-    """Model of a URDF by Pinocchio's parser, with an optional root joint."""
-    try:
-        return pin.buildModelFromXML(ET.tostring(text, encoding="unicode"), *root)
-    except (ValueError, RuntimeError) as error:
-        raise UnsupportedError(
-            f"Pinocchio's parser rejects the URDF: {' '.join(str(error).split())}"
-        ) from error
-
-
-def _remove_floating_joint(text: ET.Element) -> None:
-    """Remove a floating joint below the world link: Pinocchio's root joint takes its role."""
-    below = [j for j in text.findall("joint") if _end(j, "parent").get("link") == "world"]
-    if [joint.get("type") for joint in below] == ["floating"]:
-        text.remove(below[0])
-        for link in text.findall("link[@name='world']"):
-            text.remove(link)
-
-
 def _split_planar(text: ET.Element, joint: ET.Element, robot: RobotModel) -> None:
     """Replace a planar joint by two slides and a hinge along MuJoCo's axes: the URDF gives only the
     normal of the plane."""
     name, end = str(joint.get("name")), _end(joint, "child")
     child, limit = end.get("link"), {"effort": "0", "velocity": "0"}
-    _remove_all(joint, "axis")
     for k, (part, kind) in enumerate(PLANAR_PARTS.items()):
         last = k == len(PLANAR_PARTS) - 1
         axis = " ".join(repr(float(x)) for x in robot.mj.joint(name + part).axis)
@@ -128,19 +116,15 @@ def _split_planar(text: ET.Element, joint: ET.Element, robot: RobotModel) -> Non
             joint = ET.SubElement(text, "joint")
             ET.SubElement(joint, "parent", link=f"{name}{k - 1} between")
             end = ET.SubElement(joint, "child")
+        for old in (*joint.findall("axis"), *joint.findall("limit")):
+            joint.remove(old)
         joint.set("name", name + part)
         joint.set("type", kind)
         end.set("link", str(child) if last else f"{name}{k} between")
         ET.SubElement(joint, "axis", xyz=axis)
+        ET.SubElement(joint, "limit", limit)
         if not last:
             ET.SubElement(text, "link", name=f"{name}{k} between")
-        _remove_all(joint, "limit")
-        ET.SubElement(joint, "limit", limit)
-
-
-def _remove_all(element: ET.Element, tag: str) -> None:
-    for child in element.findall(tag):
-        element.remove(child)
 
 
 def _rename(text: ET.Element) -> tuple[dict[str, str], dict[str, str]]:

@@ -7,7 +7,6 @@ slides and the signs of their torques do not change. The root's pose, twist and 
 from Pinocchio's forward kinematics of the whole robot.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -69,7 +68,14 @@ def pinocchio_wrench_regressor(
     Y = np.empty((len(motion), rooted.model.nv, 10 * (rooted.model.njoints - 1)))
     for k in range(len(motion)):
         Y[k] = pin.computeJointTorqueRegressor(rooted.model, data, q[k], v[k], a[k])
-    Y = _body_columns(Y, cut, graph, rooted)
+    per_joint = Y.reshape(*Y.shape[:2], -1, 10)[..., FROM_PINOCCHIO]
+    parts = []
+    for b in cut.bodies:
+        node = graph.node[b]
+        pose = rooted.pose[node] * graph.pose[b]
+        X = inertia_transform(pose.rotation, pose.translation)
+        parts.append(per_joint[:, :, rooted.joint[node] - 1] @ X)
+    Y = np.concatenate(parts, axis=-1)
     columns = tuple(column for b in cut.bodies for column in robot.bodies[b].columns)
     base_rows = tuple(f"{base}.{row.rpartition('.')[2]}" for row in cut.rows)
     Y_c, names = _joint_rows(robot, graph, rooted, motion, Y)
@@ -102,41 +108,29 @@ def _rooted(robot: RobotModel, graph: _Graph, body: int) -> _Rooted:
     joint = {first: model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")}
     pose = {first: graph.pose[body].inverse()}
     direction: dict[int, tuple[int, bool]] = {}
-    for edge, backwards in _from_root(graph, first):
-        near, far = (edge.child, edge.parent) if backwards else (edge.parent, edge.child)
-        # In reverse the joint lies at the origin of the child node, whose frame is the joint's.
-        placement = pose[near] if backwards else pose[near] * edge.placement
-        joint[far] = model.addJoint(
-            joint[near], _joint_model(robot, edge.j, backwards), placement, f"joint{edge.j}"
-        )
-        pose[far] = edge.placement.inverse() if backwards else pin.SE3.Identity()
-        direction[edge.j] = joint[far], backwards
-    return _Rooted(model, joint, pose, direction)
-
-
-def _from_root(graph: _Graph, root: int) -> Iterator[tuple[_Edge, bool]]:
-    """Edges from a root node to the tips, and whether each is traversed from child to parent."""
-    done: set[int] = set()
-    open_nodes = [root]
+    open_nodes = [first]
     while open_nodes:
-        node = open_nodes.pop()
+        near = open_nodes.pop()
         for edge in graph.edges:
-            if node in (edge.parent, edge.child) and edge.j not in done:
-                backwards = node == edge.child
-                done.add(edge.j)
-                open_nodes.append(edge.parent if backwards else edge.child)
-                yield edge, backwards
-
-
-def _joint_model(robot: RobotModel, j: int, backwards: bool) -> pin.JointModel:
-    kind = int(robot.mj.jnt_type[j])
-    if kind == BALL:
-        return pin.JointModelSpherical()
-    axis = np.array(robot.mj.jnt_axis[j]) * (-1 if backwards else 1)
-    axis /= np.linalg.norm(axis)
-    if kind == HINGE:
-        return pin.JointModelRevoluteUnaligned(axis)
-    return pin.JointModelPrismaticUnaligned(axis)
+            if near not in (edge.parent, edge.child) or edge.j in direction:
+                continue
+            backwards = near == edge.child
+            far = edge.parent if backwards else edge.child
+            open_nodes.append(far)
+            # In reverse the joint lies at the origin of the child node, whose frame is the joint's.
+            placement = pose[near] if backwards else pose[near] * edge.placement
+            kind, axis = int(robot.mj.jnt_type[edge.j]), np.array(robot.mj.jnt_axis[edge.j])
+            axis = axis * (-1 if backwards else 1) / np.linalg.norm(axis)
+            if kind == BALL:
+                along = pin.JointModelSpherical()
+            elif kind == HINGE:
+                along = pin.JointModelRevoluteUnaligned(axis)
+            else:
+                along = pin.JointModelPrismaticUnaligned(axis)
+            joint[far] = model.addJoint(joint[near], along, placement, f"joint{edge.j}")
+            pose[far] = edge.placement.inverse() if backwards else pin.SE3.Identity()
+            direction[edge.j] = joint[far], backwards
+    return _Rooted(model, joint, pose, direction)
 
 
 def _states(
@@ -194,17 +188,6 @@ def _base_states(robot: RobotModel, body: int, motion: Trajectory) -> tuple[Arra
 
 def _fixed(position: Array, quaternion: Array) -> pin.SE3:
     return pin.SE3(matrix_of_quaternion(np.array(quaternion)), np.array(position))
-
-
-def _body_columns(Y: Array, cut: SensorSubtree, graph: _Graph, rooted: _Rooted) -> Array:
-    per_joint = Y.reshape(*Y.shape[:2], -1, 10)[..., FROM_PINOCCHIO]
-    parts = []
-    for b in cut.bodies:
-        node = graph.node[b]
-        pose = rooted.pose[node] * graph.pose[b]
-        X = inertia_transform(pose.rotation, pose.translation)
-        parts.append(per_joint[:, :, rooted.joint[node] - 1] @ X)
-    return np.concatenate(parts, axis=-1)
 
 
 def _joint_rows(

@@ -53,14 +53,13 @@ class Regression(Columns):
         library = self.library
         for part in blocks(motion):
             span = motion_part(motion, part)
-            values = library.rows(layout_of(self), span) if library else self._timed(span)
+            if library is not None:
+                values = library.rows(layout_of(self), span)
+            else:
+                start = time.thread_time()
+                values = self._values(span)
+                count_kernel(start)
             yield Block(self, part, values)
-
-    def _timed(self, motion: Trajectory) -> Array:
-        start = time.thread_time()
-        values = self._values(motion)
-        count_kernel(start)
-        return values
 
     def _values(self, motion: Trajectory) -> Array:
         """Values (k, n) of a block by the NumPy kernel."""
@@ -193,19 +192,15 @@ def _term_column(
     """Column of a joint term, or of the offset of a wrench component in its row of `constants`."""
     if name in constants:
         return TermColumn(index, constants[name], "offset", 0, 0.0, constants[name])
-    term, dof, other = _joint_term(robot, name)
+    try:
+        term, dof, other = robot.resolve_term(name)
+    except UsageError as error:
+        terms = [f"{robot.rows[dof]}.{suffix}" for dof in robot.scalar_dofs for suffix in TERM]
+        raise unknown_name("parameter", name, [*robot.inertial_columns, *terms]) from error
     joint = next(joint for joint in robot.joints if joint.vadr == dof)
     suffix = SUFFIX["viscous" if other is not None else term]
     reference = float(robot.joint_terms.spring_reference[dof]) if term == "spring" else 0.0
     return TermColumn(index, dof, suffix, joint.qadr, reference, dof if other is None else other)
-
-
-def _joint_term(robot: RobotModel, name: str) -> tuple[str, int, int | None]:
-    try:
-        return robot.resolve_term(name)
-    except UsageError as error:
-        terms = [f"{robot.rows[dof]}.{suffix}" for dof in robot.scalar_dofs for suffix in TERM]
-        raise unknown_name("parameter", name, [*robot.inertial_columns, *terms]) from error
 
 
 def _link_columns(link: int, weights: list[tuple[int, Array]]) -> LinkColumns:

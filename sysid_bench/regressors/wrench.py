@@ -18,7 +18,7 @@ X (6, 6) transforms a wrench from the sensor frame to beta. J_j (6,) is the unit
 the sensor frame, so that J_j f is the torque of a wrench f about its axis.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -293,10 +293,9 @@ def subtree_drives(robot: RobotModel, cut: SensorSubtree, q: Array) -> SubtreeDr
         rows=tuple(rows[i] for i in whole),
         units=tuple(robot.torque_units[i] for i in whole),
         G=G,
-        followers=tuple(_names(robot, moved[i] - {int(robot.torque_dofs[i])}) for i in whole),
+        followers=tuple(
+            tuple(robot.rows[dof] for dof in sorted(moved[i] - {int(robot.torque_dofs[i])}))
+            for i in whole
+        ),
         partial=tuple(rows[i] for i in partial),
     )
-
-
-def _names(robot: RobotModel, dofs: Collection[int]) -> tuple[str, ...]:
-    return tuple(robot.rows[dof] for dof in sorted(dofs))

@@ -75,26 +75,8 @@ def kinematics_of(robot: RobotModel) -> RobotModel:
     Bodies have unit mass and inertia and joints no friction; source text, manifest and payload are
     removed. An identification method cannot read the true parameters from it.
     """
-    spec = _kinematic_spec(robot.mj)
-    spec.option = robot.spec.option
-    terms = {field.name: np.zeros(robot.nv) for field in fields(JointTerms)}
-    terms["viscous_coupling"] = np.zeros((robot.nv, robot.nv))
-    terms["spring_reference"] = robot.joint_terms.spring_reference
-    return replace(
-        robot,
-        manifest=Manifest(robot.name, Path()),
-        payload=PAYLOADS["none"],
-        mj=spec.compile(),
-        spec=spec,
-        phi=np.zeros_like(robot.phi),
-        joint_terms=JointTerms(**terms),
-        text=b"",
-    )
-
-
-def _kinematic_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
-    """Bodies, joints and equalities of a compiled model; no shapes, inertias or joint terms."""
-    spec = mujoco.MjSpec()
+    # Bodies, joints and equalities of a compiled model; no shapes, inertias or joint terms
+    spec, mj = mujoco.MjSpec(), robot.mj
     spec.compiler.degree = False
     bodies = [spec.worldbody]
     for b in range(1, mj.nbody):
@@ -118,7 +100,20 @@ def _kinematic_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
         bodies.append(body)
     for e in range(mj.neq):
         _add_equality(spec, bodies, mj, e)
-    return spec
+    spec.option = robot.spec.option
+    terms = {field.name: np.zeros(robot.nv) for field in fields(JointTerms)}
+    terms["viscous_coupling"] = np.zeros((robot.nv, robot.nv))
+    terms["spring_reference"] = robot.joint_terms.spring_reference
+    return replace(
+        robot,
+        manifest=Manifest(robot.name, Path()),
+        payload=PAYLOADS["none"],
+        mj=spec.compile(),
+        spec=spec,
+        phi=np.zeros_like(robot.phi),
+        joint_terms=JointTerms(**terms),
+        text=b"",
+    )
 
 
 def _add_equality(

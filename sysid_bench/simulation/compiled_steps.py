@@ -75,7 +75,26 @@ def run_steps(loop: CompiledRun) -> Signals:
     out = Signals(*(np.empty((N, size)) for size in sizes))
     library = steps_library() if _is_compiled(loop.plant.laws) else None
     if isinstance(library, ctypes.CDLL):
-        _in_c(library, loop, out)
+        mj, data, plant = loop.mj, loop.data, loop.plant
+        state = _State(
+            mj.nq, mj.nv, mj.nu, *(getattr(data, x).ctypes.data for x in _State._arrays_)
+        )
+        record = _Record(*(x.ctypes.data for x in vars(out).values()))
+        # C sees addresses alone: these arrays have to live until the call returns.
+        inputs = np.ascontiguousarray(loop.control, float)
+        constant = -np.asarray(plant.terms.offset, float)
+        laws = _Laws.of(plant.laws, data.qpos[: mj.nv], data.qvel, mj.dof_armature)
+        drive = _Drive.of(loop.drive, damping_at_end(mj, loop.drive))
+        rotors = np.concatenate([loop.motor_state.theta, loop.motor_state.rate])
+        work = np.empty(mj.nv + 4 * mj.nu)
+        count, number, reference = ctypes.c_int64, ctypes.c_double, ctypes.byref
+        library.simulation_steps.restype = None
+        library.simulation_steps(
+            library.step, ctypes.c_void_p(mj._address), ctypes.c_void_p(data._address),
+            reference(state), number(float(loop.t[0])), count(len(inputs)), count(loop.each),
+            number(mj.opt.timestep), _pointer(inputs), _pointer(constant), reference(laws),
+            reference(drive), _pointer(rotors), _pointer(work), reference(record),
+        )  # fmt: skip
     else:
         with np.errstate(over="ignore", invalid="ignore"):  # of a loop that diverges
             _in_python(loop, out)
@@ -112,7 +131,16 @@ def compiled_torque(
     library = steps_library() if _is_compiled(laws) else None
     signals = [np.ascontiguousarray(x, float) for x in (q, v, load)]
     if not isinstance(library, ctypes.CDLL):
-        return _along_in_python(laws, t, signals, each, h)
+        states = start_states(laws, signals[0][0], signals[1][0])
+        tau = np.empty_like(signals[1])
+        for k, now in enumerate(t):
+            following = min(k + 1, len(t) - 1)
+            for i in range(each):
+                q, v, load = (x[k] + i / each * (x[following] - x[k]) for x in signals)
+                torque, states = states.step(h, now + i * h, q, v, load)
+                if i == 0:
+                    tau[k] = torque
+        return tau
     tau, work = np.empty_like(signals[1]), np.empty((4, v.shape[1]))
     numbers = _Laws.of(laws, signals[0][0], signals[1][0], np.zeros(v.shape[1]))
     count, number = ctypes.c_int64, ctypes.c_double
@@ -194,27 +222,6 @@ class _Laws(ctypes.Structure):
         made = cls(len(kinds), *(x.ctypes.data for x in (kinds, *addresses, own)))
         made.parts = (kinds, numbers, states, addresses, own)
         return made
-
-
-def _in_c(library: Any, loop: CompiledRun, out: Signals) -> None:
-    mj, data, plant = loop.mj, loop.data, loop.plant
-    state = _State(mj.nq, mj.nv, mj.nu, *(getattr(data, x).ctypes.data for x in _State._arrays_))
-    record = _Record(*(x.ctypes.data for x in vars(out).values()))
-    # C sees addresses alone: these arrays have to live until the call returns.
-    inputs = np.ascontiguousarray(loop.control, float)
-    constant = -np.asarray(plant.terms.offset, float)
-    laws = _Laws.of(plant.laws, data.qpos[: mj.nv], data.qvel, mj.dof_armature)
-    drive = _Drive.of(loop.drive, damping_at_end(mj, loop.drive))
-    rotors = np.concatenate([loop.motor_state.theta, loop.motor_state.rate])
-    work = np.empty(mj.nv + 4 * mj.nu)
-    count, number, reference = ctypes.c_int64, ctypes.c_double, ctypes.byref
-    library.simulation_steps.restype = None
-    library.simulation_steps(
-        library.step, ctypes.c_void_p(mj._address), ctypes.c_void_p(data._address),
-        reference(state), number(float(loop.t[0])), count(len(inputs)), count(loop.each),
-        number(mj.opt.timestep), _pointer(inputs), _pointer(constant), reference(laws),
-        reference(drive), _pointer(rotors), _pointer(work), reference(record),
-    )  # fmt: skip
 
 
 def _in_python(loop: CompiledRun, out: Signals) -> None:
@@ -304,18 +311,3 @@ def _drive_links(
     data.qfrc_applied[drive.dofs] += load
     data.ctrl[:] = 0.0
     return torque, turned
-
-
-def _along_in_python(
-    laws: Sequence[Any], t: Array, signals: Sequence[Array], each: int, h: float
-) -> Array:
-    states = start_states(laws, signals[0][0], signals[1][0])
-    tau = np.empty_like(signals[1])
-    for k, now in enumerate(t):
-        following = min(k + 1, len(t) - 1)
-        for i in range(each):
-            q, v, load = (x[k] + i / each * (x[following] - x[k]) for x in signals)
-            torque, states = states.step(h, now + i * h, q, v, load)
-            if i == 0:
-                tau[k] = torque
-    return tau

@@ -110,17 +110,9 @@ def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
     return tau
 
 
-@dataclass(frozen=True, eq=False)
-class _IndependentTorque:
-    """Inverse dynamics of closed chains along a motion: `tau` (N, n) on the independent joints, and
-    the largest constraint `violation` (rad, m)."""
-
-    tau: Array
-    violation: float
-
-
-def independent_torque(robot: RobotModel, motion: Trajectory) -> _IndependentTorque:
-    """Return the torques of a motion that the independent joints alone drive: M a + bias - J^T f.
+def independent_torque(robot: RobotModel, motion: Trajectory) -> tuple[Array, float]:
+    """Return the torques (N, n) of a motion of closed chains that the independent joints alone
+    drive, M a + bias - J^T f, and the largest violation of a constraint (rad, m).
 
     The constraint forces f follow from zero torque on the dependent joints, with MuJoCo's
     constraint Jacobian J.
@@ -142,4 +134,4 @@ def independent_torque(robot: RobotModel, motion: Trajectory) -> _IndependentTor
         violation = max(violation, float(np.abs(data.efc_pos[equality]).max(initial=0.0)))
         force = np.linalg.lstsq(J[:, coupling.dependent].T, tree[k, coupling.dependent])[0]
         tau[k] -= J[:, coupling.independent].T @ force
-    return _IndependentTorque(tau, violation)
+    return tau, violation

@@ -1,8 +1,13 @@
-"""Differences between the plant's robot and the identified model, which stays nominal."""
+"""Differences between the plant's robot and the identified model, which stays nominal.
 
-from collections.abc import Sequence
+`apply(robot, rng)` of an error returns the plant's robot from another one, whose arrays it leaves
+alone: the same bodies, joints and link parameters (in the links' own frames) with other geometry.
+Directions are drawn with `rng`. `sizes` names the settings that are zero without the error: the
+robot itself is then returned.
+"""
+
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,22 +19,6 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.size import Size, check_size, joint_size, joint_sizes
 from sysid_bench.spatial import matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
-
-
-class _ModelDefect(Protocol):
-    """Difference between the plant and the identified model, which stays nominal.
-
-    `apply(robot, rng)` returns the plant's robot from another one, whose arrays it leaves alone:
-    the same bodies, joints and link parameters (in the links' own frames) with other geometry.
-    Directions are drawn with `rng`. `sizes` names the settings that are zero without the error: the
-    robot itself is then returned.
-    """
-
-    sizes: ClassVar[tuple[str, ...]]
-
-    def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
-        """Return the robot with this error."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,15 +66,6 @@ class PlantCoordinates:
         return np.asarray(error * self.plant.drive_ratio[self.plant.torque_dofs])
 
 
-def with_model_errors(
-    robot: RobotModel, errors: Sequence[_ModelDefect], rngs: Sequence[np.random.Generator]
-) -> RobotModel:
-    """Return the plant's robot from the model's, one error after the other."""
-    for error, rng in zip(errors, rngs, strict=True):
-        robot = error.apply(robot, rng)
-    return robot
-
-
 def plant_controller(controller: Controller, robot: RobotModel) -> Controller:
     """Return a controller that is declared for the model's joints in those of the plant: its gains
     over the squared drive ratio."""
@@ -110,7 +90,7 @@ def _scaled(robot: RobotModel, motion: Trajectory, ratio: Array) -> Trajectory:
     return replace(motion, q=q, v=ratio * motion.v, a=ratio * motion.a)
 
 
-def random_direction(count: int, rng: np.random.Generator, dimension: int = 3) -> Array:
+def _random_direction(count: int, rng: np.random.Generator, dimension: int = 3) -> Array:
     """Return unit vectors (count, dimension), uniform on the sphere."""
     x = rng.normal(size=(count, dimension))
     return np.asarray(x / np.linalg.norm(x, axis=1, keepdims=True))
@@ -129,13 +109,12 @@ class BaseTilt:
     sizes: ClassVar[tuple[str, ...]] = ("angle",)
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative angle."""
         check_size("angle of the model error 'base-tilt'", self.angle)
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot under tilted gravity."""
         gravity = np.array(robot.mj.opt.gravity)
-        along = random_direction(1, rng, dimension=2)[0]
+        along = _random_direction(1, rng, dimension=2)[0]
         if self.angle == 0.0 or not gravity.any():
             return robot
         # Two unit vectors (2, 3) at right angles to gravity and to each other.
@@ -161,7 +140,6 @@ class GearRatio:
     sizes: ClassVar[tuple[str, ...]] = ("error",)
 
     def __post_init__(self) -> None:
-        """Raise UsageError for errors that stop or reverse a joint."""
         if not (np.abs(np.asarray(self.error, dtype=float)) < 0.5).all():
             raise UsageError(
                 f"error = {self.error!r} of the model error 'gear-ratio': give less than 50 %."
@@ -198,13 +176,12 @@ class PayloadMount:
     sizes: ClassVar[tuple[str, ...]] = ("position", "rotation")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative size."""
         check_size("position of the model error 'payload-mount'", self.position)
         check_size("rotation of the model error 'payload-mount'", self.rotation)
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with the payload displaced."""
-        shift, turn = random_direction(2, rng)
+        shift, turn = _random_direction(2, rng)
         if robot.payload_body is None or (self.position == 0.0 and self.rotation == 0.0):
             return robot
         by = self.position * shift, self.rotation * turn
@@ -267,7 +244,6 @@ class Kinematics:
     sizes: ClassVar[tuple[str, ...]] = ("position", "rotation")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative size."""
         check_size("position of the model error 'kinematics'", self.position)
         check_size("rotation of the model error 'kinematics'", self.rotation)
 
@@ -275,7 +251,7 @@ class Kinematics:
         """Return the robot with displaced joint frames."""
         names = [joint.name for joint in robot.joints]
         position, rotation = joint_sizes(self, names, "position", "rotation")
-        shift, turn = random_direction(len(names), rng), random_direction(len(names), rng)
+        shift, turn = _random_direction(len(names), rng), _random_direction(len(names), rng)
         chosen = {}
         for b, j, closed in _displaced_joints(robot):
             by = position[j] * shift[j], (0.0 if closed else rotation[j]) * turn[j]

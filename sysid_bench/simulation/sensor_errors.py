@@ -1,6 +1,7 @@
 """Errors of encoders, torque sensing and logging: stages of the sensor chain (`sensors.py`)."""
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace as Stage
 from typing import ClassVar, Final
 
 import numpy as np
@@ -32,27 +33,18 @@ class CurrentRipple:
     ratio: Size = field(default=100.0, metadata={"unit": "1"})
     sizes: ClassVar[tuple[str, ...]] = ("once", "twice", "four_times")
 
-    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Ripple | None":
+    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Stage | None:
         """Return the stage; None where all amplitudes are zero."""
         rows = robot.torque_rows
         phase = rng.uniform(0.0, 2.0 * np.pi, size=(len(HARMONICS), len(rows)))
-        *share, ratio = joint_sizes(self, rows, *self.sizes, "ratio")
-        cycles = HARMONICS[:, None] * ratio
-        return _Ripple(np.array(share), cycles, phase) if np.any(share) else None
+        *sizes, ratio = joint_sizes(self, rows, *self.sizes, "ratio")
+        share, cycles = np.array(sizes), HARMONICS[:, None] * ratio
 
+        def reading(signal: TorqueSignal, rng: np.random.Generator) -> Array:
+            waves = share * np.sin(cycles * signal.q[:, None] + phase)
+            return np.asarray(signal.tau * (1.0 + waves.sum(axis=1)))
 
-@dataclass(frozen=True, eq=False)
-class _Ripple:
-    """Amplitudes, periods per radian (times 2 pi) and phases, (3, n) each."""
-
-    share: Array
-    cycles: Array
-    phase: Array
-
-    def torque_reading(self, signal: TorqueSignal, rng: np.random.Generator) -> Array:
-        """Return the torque (N, n) with its ripple."""
-        waves = self.share * np.sin(self.cycles * signal.q[:, None] + self.phase)
-        return np.asarray(signal.tau * (1.0 + waves.sum(axis=1)))
+        return Stage(torque_reading=reading) if share.any() else None
 
 
 # Positions and torques are older than their stamps.
@@ -70,24 +62,17 @@ class Delay:
     sizes: ClassVar[tuple[str, ...]] = ("q", "tau")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative delay."""
         check_size("q of the sensor error 'delay'", self.q)
         check_size("tau of the sensor error 'delay'", self.tau)
 
-    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Late | None":
+    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Stage | None:
         """Return the stage; None where all delays are zero."""
         q, tau = joint_sizes(self, robot.torque_rows, "q", "tau")
-        return _Late(q, tau) if q.any() or tau.any() else None
 
+        def ages(t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+            return np.tile(q, (len(t), 1)), np.tile(tau, (len(t), 1))
 
-@dataclass(frozen=True, eq=False)
-class _Late:
-    q: Array
-    tau: Array
-
-    def sampling_delay(self, t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Return the delays (K, n) of positions and torques, s."""
-        return np.tile(self.q, (len(t), 1)), np.tile(self.tau, (len(t), 1))
+        return Stage(sampling_delay=ages) if q.any() or tau.any() else None
 
 
 # Position errors repeat with each revolution.
@@ -106,26 +91,18 @@ class Eccentricity:
     per_turn: Size = field(default=1.0, metadata={"unit": "1"})
     sizes: ClassVar[tuple[str, ...]] = ("amplitude",)
 
-    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Eccentric | None":
+    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Stage | None:
         """Return the stage; None where the amplitude is zero. Balls and free joints have none."""
         rows = robot.torque_rows
         phase = rng.uniform(0.0, 2.0 * np.pi, size=len(rows))
         amplitude, turns = joint_sizes(self, rows, "amplitude", "per_turn")
         amplitude[~np.isin(robot.torque_dofs, robot.scalar_dofs)] = 0.0
-        return _Eccentric(amplitude, turns, phase) if amplitude.any() else None
 
+        def error(q: Array) -> Array:
+            # Zero at the reference, where encoders are set.
+            return np.asarray(amplitude * (np.sin(turns * q + phase) - np.sin(phase)))
 
-@dataclass(frozen=True, eq=False)
-class _Eccentric:
-    amplitude: Array
-    per_turn: Array
-    phase: Array
-
-    def encoder_error(self, q: Array) -> Array:
-        """Return the error (N, n) at positions q (N, n); zero at the reference, where encoders are
-        set."""
-        wave = np.sin(self.per_turn * q + self.phase) - np.sin(self.phase)
-        return np.asarray(self.amplitude * wave)
+        return Stage(encoder_error=error) if amplitude.any() else None
 
 
 # Samples are not taken when their stamps say.
@@ -141,23 +118,17 @@ class Jitter:
     sizes: ClassVar[tuple[str, ...]] = ("std",)
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative deviation."""
         check_size("std of the sensor error 'jitter'", self.std)
 
-    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Jitter | None":
+    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Stage | None:
         """Return the stage; None without jitter."""
-        return _Jitter(self.std, len(robot.torque_rows)) if self.std else None
+        joints = len(robot.torque_rows)
 
+        def ages(t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+            early = np.repeat(self.std * rng.normal(size=(len(t), 1)), joints, axis=1)
+            return -early, -early
 
-@dataclass(frozen=True, eq=False)
-class _Jitter:
-    std: float
-    joints: int
-
-    def sampling_delay(self, t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Return the age (K, n) of positions and torques, s: -e in each."""
-        early = np.repeat(self.std * rng.normal(size=(len(t), 1)), self.joints, axis=1)
-        return -early, -early
+        return Stage(sampling_delay=ages) if self.std else None
 
 
 ROWS: Final = ("deleted", "held")
@@ -179,7 +150,6 @@ class LostSamples:
     sizes: ClassVar[tuple[str, ...]] = ("share",)
 
     def __post_init__(self) -> None:
-        """Raise UsageError for impossible shares and gaps, and for other rows."""
         if not (0 <= self.share <= 0.5 and self.burst >= 1):
             raise UsageError(
                 f"share = {self.share!r} and burst = {self.burst!r} of the sensor error "
@@ -188,27 +158,20 @@ class LostSamples:
         if self.rows not in ROWS:
             raise unknown_name("kind of rows of the sensor error 'lost-samples'", self.rows, ROWS)
 
-    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Loss | None":
+    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Stage | None:
         """Return the stage; None where nothing is lost."""
-        return _Loss(self.share, self.burst, self.rows == "held") if self.share else None
+        return Stage(stored=self._stored) if self.share else None
 
-
-@dataclass(frozen=True, eq=False)
-class _Loss:
-    share: float
-    burst: float
-    held: bool
-
-    def stored(self, count: int, rng: np.random.Generator) -> Array:
-        """Return the sample of each row (count,), -1 where it is deleted; the first and the last
-        one are never lost."""
+    def _stored(self, count: int, rng: np.random.Generator) -> Array:
+        """The sample of each row (count,), -1 where it is deleted; the first and the last one are
+        never lost."""
         # A two-state chain (Gilbert 1960) with this share and mean gap.
         u, lost = rng.random(count), np.zeros(count, dtype=bool)
         end, begin = 1.0 / self.burst, self.share / (1.0 - self.share) / self.burst
         for k in range(1, count - 1):
             lost[k] = u[k] >= end if lost[k - 1] else u[k] < begin
         rows = np.arange(count)
-        if not self.held:
+        if self.rows == "deleted":
             return np.where(lost, -1, rows)
         # The last sample that was not lost, which the row repeats.
         return np.asarray(np.maximum.accumulate(np.where(lost, 0, rows)))
@@ -229,26 +192,19 @@ class TorqueDrift:
     sizes: ClassVar[tuple[str, ...]] = ("slope", "walk")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative deviation."""
         check_size("walk of the sensor error 'torque-drift'", self.walk)
 
-    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Drift | None":
+    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Stage | None:
         """Return the stage; None where both drifts are zero."""
         slope, walk = joint_sizes(self, robot.torque_rows, "slope", "walk")
-        return _Drift(slope, walk) if slope.any() or walk.any() else None
 
+        def reading(signal: TorqueSignal, rng: np.random.Generator) -> Array:
+            steps = np.diff(signal.t, prepend=signal.t[:1])[:, None]
+            wiener = np.cumsum(np.sqrt(steps) * rng.normal(size=signal.tau.shape), axis=0)
+            since = (signal.t - signal.t[0])[:, None]
+            return np.asarray(signal.tau + slope * since + walk * wiener)
 
-@dataclass(frozen=True, eq=False)
-class _Drift:
-    slope: Array
-    walk: Array
-
-    def torque_reading(self, signal: TorqueSignal, rng: np.random.Generator) -> Array:
-        """Return tau + slope t + walk w(t) (N, n), w a Wiener process."""
-        steps = np.diff(signal.t, prepend=signal.t[:1])[:, None]
-        wiener = np.cumsum(np.sqrt(steps) * rng.normal(size=signal.tau.shape), axis=0)
-        since = (signal.t - signal.t[0])[:, None]
-        return np.asarray(signal.tau + self.slope * since + self.walk * wiener)
+        return Stage(torque_reading=reading) if slope.any() or walk.any() else None
 
 
 @dataclass(frozen=True)
@@ -263,20 +219,14 @@ class TorqueGain:
     offset: Size = field(default=0.0, metadata={"unit": "N m|N"})
     sizes: ClassVar[tuple[str, ...]] = ("gain", "offset")
 
-    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Gain | None":
+    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Stage | None:
         """Return the stage; None where both errors are zero."""
         gain, offset = joint_sizes(self, robot.torque_rows, "gain", "offset")
-        return _Gain(gain, offset) if gain.any() or offset.any() else None
 
+        def reading(signal: TorqueSignal, rng: np.random.Generator) -> Array:
+            return np.asarray((1.0 + gain) * signal.tau + offset)
 
-@dataclass(frozen=True, eq=False)
-class _Gain:
-    gain: Array
-    offset: Array
-
-    def torque_reading(self, signal: TorqueSignal, rng: np.random.Generator) -> Array:
-        """Return (1 + gain) tau + offset (N, n)."""
-        return np.asarray((1.0 + self.gain) * signal.tau + self.offset)
+        return Stage(torque_reading=reading) if gain.any() or offset.any() else None
 
 
 # Noise of filtered amplifiers is coloured: a first-order process, whatever the sampling rate.
@@ -296,7 +246,6 @@ class TorqueNoise:
     sizes: ClassVar[tuple[str, ...]] = ("std", "share")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for negative deviations, and time constants that are not positive."""
         check_size("std of the sensor error 'torque-noise'", self.std)
         check_size("share of the sensor error 'torque-noise'", self.share)
         if not (np.asarray(self.time_constant, dtype=float) > 0).all():
@@ -305,27 +254,20 @@ class TorqueNoise:
                 "more than 0 s; white noise is noise.tau."
             )
 
-    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Noise | None":
+    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Stage | None:
         """Return the stage; None where the deviations are zero."""
         names = ("std", "share", "time_constant")
         std, share, constant = joint_sizes(self, robot.torque_rows, *names)
-        return _Noise(std, share, constant) if std.any() or share.any() else None
 
+        def reading(signal: TorqueSignal, rng: np.random.Generator) -> Array:
+            # e_(k+1) = rho e_k + sqrt(1 - rho^2) s w_k from its stationary state.
+            white = rng.normal(size=signal.tau.shape)
+            rho = np.exp(-(signal.t[1] - signal.t[0]) / constant)
+            noise = np.empty_like(white)
+            for j, c in enumerate(rho):
+                b = np.sqrt(1 - c**2)
+                start = np.array([(1 - b) * white[0, j]])
+                noise[:, j], _ = scipy.signal.lfilter([b], [1.0, -c], white[:, j], zi=start)
+            return np.asarray(signal.tau + (std + share * signal.rms) * noise)
 
-@dataclass(frozen=True, eq=False)
-class _Noise:
-    std: Array
-    share: Array
-    time_constant: Array
-
-    def torque_reading(self, signal: TorqueSignal, rng: np.random.Generator) -> Array:
-        """Return tau + e (N, n): e_(k+1) = rho e_k + sqrt(1 - rho^2) s w_k from its stationary
-        state, rho = exp(-h / T)."""
-        white = rng.normal(size=signal.tau.shape)
-        rho = np.exp(-(signal.t[1] - signal.t[0]) / self.time_constant)
-        noise = np.empty_like(white)
-        for j, c in enumerate(rho):
-            b = np.sqrt(1 - c**2)
-            start = np.array([(1 - b) * white[0, j]])
-            noise[:, j], _ = scipy.signal.lfilter([b], [1.0, -c], white[:, j], zi=start)
-        return np.asarray(signal.tau + (self.std + self.share * signal.rms) * noise)
+        return Stage(torque_reading=reading) if std.any() or share.any() else None

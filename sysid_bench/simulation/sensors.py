@@ -2,11 +2,16 @@
 
 Order: transducer (encoder and torque errors), sampling (delay, jitter), quantisation (that of the
 [noise] table), loss. The controller sees errors of encoders, and neither delay nor loss of the log.
+
+`prepare(robot, rng)` of a sensor error returns a stage for the independent joints of a robot: an
+object with one or several of `encoder_error`, `torque_reading`, `sampling_delay` and `stored`; None
+for an error of size zero. Constants of a robot are drawn with `rng`, those of a recording with the
+generator that a stage is called with.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 import scipy
@@ -38,7 +43,6 @@ class Noise:
     tau_correlation: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a correlation outside of [0, 1) and for sizes of no sensor."""
         for name in ("q", "tau", "tau_relative", "quantum", "tau_drift"):
             size = getattr(self, name)
             if size and not _SMALLEST <= size <= 1 / _SMALLEST:
@@ -74,34 +78,20 @@ def recursive_filter(gain: float, pole: float, x: Array, start: Array) -> Array:
     return np.asarray(y)
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseSamples:
-    """Standard normal draws of one repeat, shared by all noise levels: `encoder` (N, rows) per
-    control step, `torque` (K, rows) per recorded sample."""
-
-    encoder: Array
-    torque: Array
-
-
-def noise_samples(count: int, recorded: int, rows: int, rng: np.random.Generator) -> NoiseSamples:
-    """Return the draws for `count` control steps and `recorded` samples."""
-    return NoiseSamples(rng.normal(size=(count, rows)), rng.normal(size=(recorded, rows)))
-
-
 def position_error(
     noise: Noise,
-    draws: NoiseSamples,
+    draws: Array,
     q: Array | None = None,
     rounded: Array | slice = slice(None),
     repeated: Array | None = None,
 ) -> Array:
-    """Return the error of every encoder reading (N, rows), rad or m.
+    """Return the error of every encoder reading (N, rows), rad or m, from standard normal draws.
 
     With positions q (N, rows) it includes quantisation, in the degrees of freedom `rounded`; the
     orientation of a floating base has no encoder. `repeated` (N, rows) are errors of the encoders
     that depend on the position.
     """
-    error = noise.q * draws.encoder
+    error = noise.q * draws
     if repeated is not None:
         error = error + repeated
     # Quantisation rounds the noisy reading, so that its error depends on the position itself.
@@ -180,18 +170,20 @@ def sampled_with_delay(
     times = np.repeat(stamps[:, None], robot.nv, axis=1)
     times[:, dofs] = _within(motion, stamps[:, None] - late_q)
     tau = _linear(motion.t, oracle.tau, _within(motion, stamps[:, None] - late_tau))
-    return Oracle(_motion(robot, motion, stamps, times), tau)
-
-
-def _motion(robot: RobotModel, motion: Trajectory, stamps: Array, times: Array) -> Trajectory:
-    """The motion with each degree of freedom at times (K, nv) of its own."""
+    # The motion with each degree of freedom at times (K, nv) of its own
     before = np.clip(np.searchsorted(motion.t, times, side="right") - 1, 0, len(motion) - 1)
     columns = np.arange(robot.nv)
     since, v, a = times - motion.t[before], motion.v[before, columns], motion.a[before, columns]
     # Balls and free joints turn on with the rate and acceleration of the step before.
     turned = (v + 0.5 * a * since) * since
     turned[:, robot.scalar_dofs] = 0.0
-    q = with_position_error(robot, _positions_before(robot, motion, before), turned)
+    # Configurations (K, nq), each joint of step `before` (K, nv)
+    positions_before: Array = motion.q[before[:, 0]]
+    widths = {"hinge": 1, "slide": 1, "ball": 4, "free": 7}
+    for joint in robot.joints:
+        part = slice(joint.qadr, joint.qadr + widths[joint.kind])
+        positions_before[:, part] = motion.q[before[:, joint.vadr], part]
+    q = with_position_error(robot, positions_before, turned)
     v = v + a * since
     for joint in robot.joints:
         if joint.kind in ("hinge", "slide"):
@@ -201,17 +193,7 @@ def _motion(robot: RobotModel, motion: Trajectory, stamps: Array, times: Array) 
                 times[:, dof]
             )
             v[:, dof] = scipy.interpolate.CubicHermiteSpline(motion.t, rate, slope)(times[:, dof])
-    return replace(motion, t=stamps, q=q, v=v, a=_linear(motion.t, motion.a, times))
-
-
-def _positions_before(robot: RobotModel, motion: Trajectory, before: Array) -> Array:
-    """Configurations (K, nq), each joint of step `before` (K, nv)."""
-    q: Array = motion.q[before[:, 0]]
-    widths = {"hinge": 1, "slide": 1, "ball": 4, "free": 7}
-    for joint in robot.joints:
-        part = slice(joint.qadr, joint.qadr + widths[joint.kind])
-        q[:, part] = motion.q[before[:, joint.vadr], part]
-    return q
+    return Oracle(replace(motion, t=stamps, q=q, v=v, a=_linear(motion.t, motion.a, times)), tau)
 
 
 def _within(motion: Trajectory, times: Array) -> Array:
@@ -230,23 +212,6 @@ def _linear(t: Array, x: Array, times: Array) -> Array:
 
 RngOf = Callable[[int], np.random.Generator]
 """Random generator of one recording for the stage with this number."""
-
-
-class _SensorDefect(Protocol):
-    """Error of the sensor chain.
-
-    `prepare(robot, rng)` returns a stage for the independent joints of a robot: an object with one
-    or several of `encoder_error`, `torque_reading`, `sampling_delay` and `stored`; None for an
-    error of size zero. Constants of a robot are drawn with `rng`, those of a recording with the
-    generator that a stage is called with. `sizes` names the settings that are zero without the
-    error.
-    """
-
-    sizes: ClassVar[tuple[str, ...]]
-
-    def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Any:
-        """Return the stage of this error, or None."""
-        ...
 
 
 @runtime_checkable
@@ -341,14 +306,6 @@ class SensorChain:
 
     def _of(self, kind: Any) -> list[tuple[int, Any]]:
         return [(k, stage) for k, stage in enumerate(self.stages) if isinstance(stage, kind)]
-
-
-def sensor_chain(
-    robot: RobotModel, errors: Sequence[_SensorDefect], rngs: Sequence[np.random.Generator]
-) -> SensorChain:
-    """Return the chain of a robot with these errors; their numbers stay those of the list."""
-    prepared = (error.prepare(robot, rng) for error, rng in zip(errors, rngs, strict=True))
-    return SensorChain(tuple(prepared))
 
 
 def _stored(recording: Recording, source: Array) -> Recording:

@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.types import Array
-from sysid_bench.units import parse_quantity, quantity
+from sysid_bench.units import parse_quantity
 
 Size = float | Sequence[float]
 """A number for all joints, or one per joint."""
@@ -58,22 +58,6 @@ def check_size(what: str, *sizes: Size, above: bool = False) -> None:
 def is_random(value: Any) -> TypeGuard[Range]:
     """Return True for a size that is drawn, { from = ..., to = ... }."""
     return isinstance(value, Mapping) and bool({"from", "to"} & set(value))
-
-
-def random_limits(written: Range, unit: str | None) -> tuple[float, float]:
-    """Return (low, high) of a range in SI units; raises UsageError for missing, further or wrong
-    entries, and for a range that ends below its beginning."""
-    if set(written) != {"from", "to"}:
-        raise UsageError(
-            f"A drawn size has the keys 'from' and 'to', as {{ from = 0, to = 1 }}; got "
-            f"{sorted(written)}."
-        )
-    low, high = (quantity(written[key], unit or "1") for key in ("from", "to"))
-    if low > high:
-        raise UsageError(
-            f"The range from {written['from']} to {written['to']} ends below its start."
-        )
-    return low, high
 
 
 def random_size(limits: tuple[float, float], count: int, rng: np.random.Generator) -> Array:

@@ -74,8 +74,6 @@ class TrackingControl:
     integrator: str = "auto"
 
     def __post_init__(self) -> None:
-        """Raise UsageError for gains that are not positive numbers, or if one of the two is
-        missing; for steps below 1 and unknown integrators."""
         if (self.kp is None) != (self.kd is None):
             raise UsageError("Give both kp and kd of the controller, or neither.")
         _check_gains("kp", self.kp)
@@ -133,32 +131,31 @@ class TrackingControl:
         whole = _with_lead_in(robot, commanded, lead)
         encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
         control = commands(controller, whole, encoder, robot)
-        signals = self._simulate(plant, mj, controller, whole, control)
+        # Signals of all samples; in one call of MuJoCo where nothing depends on the state
+        each: int = round((whole.t[1] - whole.t[0]) / mj.opt.timestep)
+        drive = drive_of(plant, controller, self.step_choice, each)
+        if not (plant.laws or plant.transmission or drive.held):
+            signals = _rollout(plant, mj, drive, whole, control)
+        else:
+            data = mujoco.MjData(mj)
+            data.qpos[:], data.qvel[:] = whole.q[0], whole.v[0]
+            loop = CompiledRun(plant, mj, data, drive, t=whole.t, control=control, each=each)
+            signals = run_steps(loop)
         q, v, a, tau = (x[lead:] for x in (signals.q, signals.v, signals.a, signals.tau))
         motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
         for name, array in (("position", motion.q), ("acceleration", motion.a)):
             check_finite(robot.name, array, f"{name} in closed loop")
         _check_tracking(robot, commanded, motion, tau)
-        encoders = _motor_motion(plant, motion, signals, lead)
+        # Motion as encoders on the motors measure it; None where they measure that of the links
+        if plant.transmission is None or not plant.transmission.motor_side:
+            encoders = None
+        else:
+            q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+            dofs = plant.robot.torque_dofs
+            for x, motor in ((q, signals.motor_q), (v, signals.motor_v), (a, signals.motor_a)):
+                x[:, dofs] = motor[lead:]
+            encoders = Trajectory(motion.t, q, v, a, motion.name, motion.period)
         return Oracle(motion, tau[:, robot.torque_dofs], encoders, mj.opt.timestep)
-
-    def _simulate(
-        self,
-        plant: Plant,
-        mj: mujoco.MjModel,
-        controller: Controller,
-        commanded: Trajectory,
-        control: Array,
-    ) -> Signals:
-        """Signals of all samples; in one call of MuJoCo where nothing depends on the state."""
-        each: int = round((commanded.t[1] - commanded.t[0]) / mj.opt.timestep)
-        drive = drive_of(plant, controller, self.step_choice, each)
-        if not (plant.laws or plant.transmission or drive.held):
-            return _rollout(plant, mj, drive, commanded, control)
-        data = mujoco.MjData(mj)
-        data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
-        loop = CompiledRun(plant, mj, data, drive, t=commanded.t, control=control, each=each)
-        return run_steps(loop)
 
     def controller(self, plant: Plant) -> Controller:
         """Return the controller of a plant, with gains (n,), one per motor."""
@@ -293,19 +290,6 @@ def _rollout(
         change = v[::each] - v_start
         a, tau = change / mj.opt.timestep, end_of_step(tau, change, drive, implicit)
     return Signals(q_before[::each], v_start, a, tau, motor_q=none, motor_v=none, motor_a=none)
-
-
-def _motor_motion(
-    plant: Plant, motion: Trajectory, signals: Signals, lead: int
-) -> Trajectory | None:
-    """Motion as encoders on the motors measure it; None where they measure that of the links."""
-    if plant.transmission is None or not plant.transmission.motor_side:
-        return None
-    q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-    dofs = plant.robot.torque_dofs
-    for x, motor in ((q, signals.motor_q), (v, signals.motor_v), (a, signals.motor_a)):
-        x[:, dofs] = motor[lead:]
-    return Trajectory(motion.t, q, v, a, motion.name, motion.period)
 
 
 def _check_tracking(

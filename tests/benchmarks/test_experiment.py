@@ -189,7 +189,9 @@ def test_an_experiment_of_level_2_against_its_own_rollout(
     """The plant of L2, its sizes at the upper end of their ranges, and the filtered problem."""
     written = with_plant_file({"use": "L2"}, None)
     level = composed_plant({key: x for key, x in written.items() if key not in SIGNALS})
-    effects = [build("plant", size_limits(entry.spec)[-1]) for entry in level.of("effects")]
+    effects = [
+        build("plant", size_limits(entry.spec)[-1]) for entry in level if entry.group == "effects"
+    ]
     plant, joints = plant_of(bench.robot, effects), bench.robot.joints
 
     def rollout() -> Oracle:

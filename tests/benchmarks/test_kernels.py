@@ -156,7 +156,7 @@ def test_instruction_sets(subject: Subject, compare: Compare, line: Line) -> Non
     if select_kernel().library is None:
         pytest.skip(select_kernel().reason)
     dll = select_kernel().library.dll  # type: ignore[union-attr]
-    levels = [level for level in compiled.LEVELS if compiled._usable(dll, level)]
+    levels = compiled.usable_levels(dll)
     program = layout_of(subject.columns)
     functions = {
         level: lambda level=level: compiled.Library(dll, level).dense(

@@ -17,7 +17,6 @@ from sysid_bench.apps.clusters.batch import (
     Batch,
     BatchAnswer,
     BatchWorker,
-    Limits,
     environment_fields,
     run_batch,
     run_files,
@@ -139,7 +138,7 @@ def test_files_of_a_batch_stay_below_the_artifacts(tmp_path: Path) -> None:
 
 def test_a_seat_keeps_its_worker_and_settles_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a worker elsewhere does: rows of all cells, also of those that end the process."""
-    limits = Limits(30.0, 1, None)
+    limits = WorkerSettings(Path(), 30.0, 1)
     first = run_batch(Batch((job(0), job(1)), limits, package_hash()), None)
     again = run_batch(Batch((job(2),), limits, package_hash()), None)
     assert {row["pid"] for row in (*first.rows, *again.rows)} == {first.rows[0]["pid"]}
@@ -150,7 +149,7 @@ def test_a_seat_keeps_its_worker_and_settles_its_end(monkeypatch: pytest.MonkeyP
 
 def test_an_interrupted_seat_ends_its_job() -> None:
     """Ctrl-C while another machine is compared: the cell does not run to its limit."""
-    seat = BatchWorker(Limits(600.0, 1, None))
+    seat = BatchWorker(WorkerSettings(Path(), 600.0, 1))
     timer = threading.Timer(1.0, seat.interrupt)
     timer.start()
     try:

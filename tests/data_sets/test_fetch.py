@@ -6,6 +6,7 @@ import shutil
 from collections import namedtuple
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -101,24 +102,17 @@ def test_another_version_in_a_mirror_or_beside_is_not_taken(
     assert not find_dataset(str(other.file)).missing()
 
 
-def damage(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    server.files["b.csv"] = b"5,6\n" * 7000
+Fault = Callable[[Remote, Server, pytest.MonkeyPatch], Any]
 
 
-def interrupt(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    server.cut.add("b.csv")
+def content(b: bytes) -> Fault:
+    """The server has other contents of b.csv."""
+    return lambda remote, server, patch: server.files.update({"b.csv": b})
 
 
-def endless(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    server.files["b.csv"] = bytes(2**24)
-
-
-def longer(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    server.files["b.csv"] += b"\n"
-
-
-def remove(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    del server.files["b.csv"]
+def change(old: str, new: str) -> Fault:
+    """The description of the set is another one."""
+    return lambda remote, server, patch: remote.change(old, new)
 
 
 def no_space_left(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
@@ -137,49 +131,22 @@ def full_while_writing(remote: Remote, server: Server, patch: pytest.MonkeyPatch
     patch.setattr(fetch_files, "fetch_file", loaded)
 
 
-def unlicensed(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    remote.change('licence = "MIT"', 'licence = "none"')
-
-
-def without_licence(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    remote.change('licence = "MIT"\n', "")
-
-
-def converted(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    remote.change('origin = "b.csv"\n', "")
-
-
-def outside(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    remote.change('path = "runs/b.csv"', 'path = "../b.csv"')
-
-
-def the_folder_itself(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    remote.change('path = "runs/b.csv"', 'path = "."')
-
-
-def twice(remote: Remote, server: Server, patch: pytest.MonkeyPatch) -> None:
-    remote.change('path = "runs/b.csv"', 'path = "runs/a.csv"')
-
-
-Fault = Callable[[Remote, Server, pytest.MonkeyPatch], None]
-
-
 @pytest.mark.parametrize(
     ("fault", "said", "kept"),
     [
-        (damage, "damaged, or another version", ["runs/a.csv"]),
-        (interrupt, "was not loaded", ["runs/a.csv"]),
-        (endless, "more than the 28000 bytes", ["runs/a.csv"]),
-        (longer, "more than the 28000 bytes", ["runs/a.csv"]),
-        (remove, "404", ["runs/a.csv"]),
+        (content(b"5,6\n" * 7000), "damaged, or another version", ["runs/a.csv"]),
+        (lambda remote, server, patch: server.cut.add("b.csv"), "was not loaded", ["runs/a.csv"]),
+        (content(bytes(2**24)), "more than the 28000 bytes", ["runs/a.csv"]),
+        (content(b"3,4\n" * 7000 + b"\n"), "more than the 28000 bytes", ["runs/a.csv"]),
+        (lambda remote, server, patch: server.files.pop("b.csv"), "404", ["runs/a.csv"]),
         (no_space_left, "free space", []),
         (full_while_writing, "disk is full", ["runs/a.csv"]),
-        (unlicensed, "states no licence", []),
-        (without_licence, "licence is missing", []),
-        (converted, "was converted", ["runs/a.csv"]),
-        (outside, "below the folder", []),
-        (the_folder_itself, "below the folder", []),
-        (twice, "two .* have the path 'runs/a.csv'", []),
+        (change('licence = "MIT"', 'licence = "none"'), "states no licence", []),
+        (change('licence = "MIT"\n', ""), "licence is missing", []),
+        (change('origin = "b.csv"\n', ""), "was converted", ["runs/a.csv"]),
+        (change('path = "runs/b.csv"', 'path = "../b.csv"'), "below the folder", []),
+        (change('path = "runs/b.csv"', 'path = "."'), "below the folder", []),
+        (change("runs/b.csv", "runs/a.csv"), "two .* have the path 'runs/a.csv'", []),
     ],
 )
 def test_one_sentence_and_nothing_half_made(

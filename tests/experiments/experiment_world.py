@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench import package_folders
+from sysid_bench.evaluation.score import score
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.job_channel import JobChannel, ProcessEnd
@@ -17,6 +18,7 @@ from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import third_party_parts
+from sysid_bench.identification.identify import identify
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import build
@@ -161,3 +163,10 @@ def dense(problem: Any) -> tuple[Array, Array]:
     """W (N, rows, r) and b (N, rows) of a problem, from its blocks."""
     parts = list(problem.blocks())
     return np.concatenate([Y for Y, _ in parts]), np.concatenate([b for _, b in parts])
+
+
+def solved(made: ExperimentData[Any], method: Any) -> tuple[Any, Any]:
+    """The estimate of a method and its scores, typed loosely: what should be a number may be None,
+    and then fails where it is compared."""
+    estimate = identify(method, made.problem)
+    return estimate, score(estimate, made.problem, made.held_out, made.source.truth)

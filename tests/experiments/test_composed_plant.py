@@ -200,7 +200,7 @@ def test_plants_are_labelled_by_their_name_or_their_parts() -> None:
 def test_the_name_of_a_plain_plant_is_its_own_and_it_is_its_only_effect() -> None:
     plain = {"use": "stribeck", "share": "20 %"}
     assert plant_name(plain) == "stribeck"
-    assert [entry.spec for entry in composed_plant(plain).entries] == [plain]
+    assert [entry.spec for entry in composed_plant(plain)] == [plain]
     assert plant_name(composed()) == "matched"
 
 

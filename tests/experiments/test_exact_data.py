@@ -1,12 +1,12 @@
 """Exact data and the matched plant: every robot's parameters are found to rounding."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.score import score
+from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.identification.estimators.linear import OLS
-from sysid_bench.identification.identify import identify
-from sysid_bench.types import Score
 from tests.experiments.dropped_bound import dropped_bound
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,
@@ -17,16 +17,14 @@ from tests.experiments.experiment_world import (
     ready,
     ready_once,
     smooth_loop,
+    solved,
 )
 
 
-def figures(made: object) -> Score:
-    from sysid_bench.experiments.experiment_data import ExperimentData
-
-    assert isinstance(made, ExperimentData)
-    estimate = identify(OLS(), made.problem)
+def figures(made: ExperimentData[Any]) -> Any:
+    estimate, scores = solved(made, OLS())
     assert estimate.status == "ok", estimate.reason
-    return score(estimate, made.problem, made.held_out, made.source.truth)
+    return scores
 
 
 @pytest.mark.parametrize("payload", ["none", "sphere-offset-1kg", "point-1kg", "rod-1kg"])
@@ -36,9 +34,7 @@ def test_every_robot_with_every_load_is_found(name: str, payload: str) -> None:
     errors = figures(made)
     # Near-degenerate directions are in the data and in no base parameter.
     bound = dropped_bound(made.problem, made.held_out, made.source.truth.theta)
-    assert errors.beta_error is not None
     assert errors.beta_error <= 1e-9 + bound.beta_error
-    assert errors.torque_error is not None
     assert errors.torque_error <= 1e-9 + bound.torque_error
 
 
@@ -57,7 +53,6 @@ def test_only_near_degenerate_directions_widen_the_bound() -> None:
 def test_loads_of_robots_with_ball_and_free_joints_are_found(name: str, task: str) -> None:
     """The terms of ball and free joints are known in all three directions."""
     scores = figures(ready_once(name, "sphere-offset-1kg", task))
-    assert scores.beta_error is not None
     assert scores.beta_error <= 1e-8
 
 
@@ -70,16 +65,13 @@ def test_any_choice_of_terms_is_found_the_rest_being_known(
     name: str, terms: tuple[str, ...]
 ) -> None:
     scores = figures(ready(robot=name, terms=terms))
-    assert scores.beta_error is not None
     assert scores.beta_error <= 1e-9
 
 
 def test_closed_loop_data_are_as_exact() -> None:
     for made in (smooth_loop(), ready(robot=RICH, simulation=CLOSED_LOOP)):
         scores = figures(made)
-        assert scores.beta_error is not None
         assert scores.beta_error <= 1e-7  # through the condition number of a motion not designed
-        assert scores.torque_error is not None
         assert scores.torque_error <= 1e-9
 
 

@@ -1,6 +1,7 @@
 """The payload from recordings of one motion with and without it: errors of the arm cancel."""
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.estimators.linear import WLS, Difference
 from sysid_bench.identification.identify import identify
-from sysid_bench.types import Estimate, Score
+from sysid_bench.types import Estimate
 from tests.experiments.experiment_world import CLOSED_LOOP, ready
 
 ARMS = ("ur5", "scara", "z1", "random:7")
@@ -60,7 +61,7 @@ def test_a_linear_drift_cancels_in_abba_and_in_no_other_order(robot: str) -> Non
     assert min(errors["AB"], errors["AABB"]) > 1e-4
 
 
-def scored(at: ExperimentData[SimulatedSource], estimator: object) -> Score:
+def scored(at: ExperimentData[SimulatedSource], estimator: object) -> Any:
     return score(answer(at, estimator), at.problem, at.held_out, at.source.truth)
 
 
@@ -73,9 +74,6 @@ def test_with_noise_it_beats_a_fit_with_a_wrong_arm_and_not_one_with_a_right_arm
     right = made(robot, "AB", known=0.0, tau_relative=0.01)
     difference, misled = (scored(wrong, method).payload_error for method in (Difference(), WLS()))
     error = scored(right, WLS()).payload_error
-    assert difference is not None
-    assert misled is not None
-    assert error is not None
     assert difference < 0.5 * misled
     assert error < 2.0 * difference
 

@@ -182,7 +182,7 @@ def add_torques(log: Path) -> None:
     ("change", "words"),
     [
         (("l_foot", "r_foot"), "no wrench of the sensor 'l_foot'.*l_leg, r_foot"),
-        (("wrench = [{ columns = [", "wrench = [{ columns = [1, "), "has 7 columns; write six"),
+        (("wrench = [{ columns = [", "wrench = [{ columns = [1, "), "has 7 columns; write 6"),
         (("sensor = 'l_leg'", "sensor = 'l_leg', unit = ['N m', 'N']"), "a force: .*'N m'"),
         (("sensor = 'l_leg'", "sensor = 'l_leg', unit = ['N']"), "write two"),
         (("sensor = 'l_leg'", "sensor = 'l_leg', gain = [1, 2]"), "has 2 numbers"),

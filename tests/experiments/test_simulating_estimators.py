@@ -52,15 +52,13 @@ def noisy(repeat: int = 0) -> ExperimentData[SimulatedSource]:
     )  # fmt: skip
 
 
-def fit(name: Any, made: ExperimentData[SimulatedSource]) -> Estimate:
+def fit(name: Any, made: ExperimentData[SimulatedSource]) -> Any:
     return identify(build("estimator", name), made.problem, made.experiment)
 
 
-def error(made: ExperimentData[SimulatedSource], beta: Array) -> float:
+def error(made: ExperimentData[SimulatedSource], beta: Array) -> Any:
     """Held-out torque error."""
-    found = score(Estimate(beta), made.problem, made.held_out, made.source.truth).torque_error
-    assert found is not None
-    return found
+    return score(Estimate(beta), made.problem, made.held_out, made.source.truth).torque_error
 
 
 @pytest.mark.parametrize("prior", [True, False], ids=["a prior", "no prior"])
@@ -75,18 +73,15 @@ def test_exact_data_give_the_truth(name: Any, case: str, prior: bool) -> None:
     found = fit(name, made)
     assert found.status == "ok", found.reason
     true = made.problem.base.K @ made.source.truth.theta
-    assert found.beta is not None
     assert np.linalg.norm(found.beta - true) <= 1e-8 * np.linalg.norm(true)
 
 
 @pytest.mark.parametrize("name", EVERY, ids=str)
 def test_noisy_data_improve_on_the_start(name: Any) -> None:
     made = noisy()
-    prior = made.problem.prior
-    assert prior is not None
+    prior: Any = made.problem.prior
     found = fit(name, made)
     assert found.status == "ok", found.reason
-    assert found.beta is not None
     start = error(made, made.problem.base.K @ prior.theta)
     assert error(made, found.beta) < 0.5 * start
 
@@ -113,7 +108,6 @@ def test_the_covariance_is_of_the_size_of_the_spread() -> None:
         found = fit("didim-guarded", made)
         if found.beta is None:
             continue
-        assert found.covariance is not None
         miss = found.beta - made.problem.base.K @ made.source.truth.theta
         squares.append(miss**2 / np.diag(found.covariance))
     assert len(squares) >= 3
@@ -183,9 +177,7 @@ def test_torques_of_nothing_are_far_from_certain() -> None:
         raw=replace(raw, tau=noise, q=raw.q + rng.normal(size=raw.q.shape)),
         recording=replace(recording, tau=noise[: len(recording)]),
     )
-    found = identify(build("estimator", "didim-guarded"), made.problem, wild)
+    found: Any = identify(build("estimator", "didim-guarded"), made.problem, wild)
     assert found.status == "ok", found.reason
-    assert found.covariance is not None
-    start = made.problem.prior
-    assert start is not None
+    start: Any = made.problem.prior
     assert np.sqrt(np.trace(found.covariance)) > 3 * np.linalg.norm(start.theta)

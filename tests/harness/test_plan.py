@@ -53,6 +53,7 @@ CHANGES: dict[str, Any] = {
     "motions": 5,
     "redrawn": ("motions",),
     "candidate": {"step": 1e-3},
+    "confidence": 0.9,
     "log": {"train": ["run.toml"]},
     "content": "0123456789ab",
     "confidence": 0.9,

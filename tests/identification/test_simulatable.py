@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.experiments.simulated.estimator_model import known_model
+from sysid_bench.experiments.simulated.problem import known_model
 from sysid_bench.identification.feasibility.simulatable import simulatable_set
 from sysid_bench.identification.linear.least_squares import stacked_factor
 from sysid_bench.simulation.candidate import plant_of_model

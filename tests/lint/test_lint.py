@@ -35,24 +35,26 @@ def times(links: list[str], part: str, keys: str, factor: float) -> Change:
     return change
 
 
-def shifted(link: str, xyz: str) -> Change:
+def written(path: str, **values: float | str) -> Change:
+    """Write attributes of the elements at a path, of which the last one may be absent."""
+
     def change(robot: ET.Element) -> None:
-        inertial = robot.find(f"link[@name='{link}']/inertial")
-        assert inertial is not None
-        origin = inertial.find("origin")
-        (ET.SubElement(inertial, "origin") if origin is None else origin).set("xyz", xyz)
+        above, _, tag = path.rpartition("/")
+        for parent in robot.findall(above):
+            element = parent.find(tag)
+            element = ET.SubElement(parent, tag) if element is None else element
+            element.attrib.update({key: str(value) for key, value in values.items()})
 
     return change
+
+
+def shifted(link: str, xyz: str) -> Change:
+    return written(f"link[@name='{link}']/inertial/origin", xyz=xyz)
 
 
 def moments(link: str, ixx: float, iyy: float, izz: float) -> Change:
-    def change(robot: ET.Element) -> None:
-        inertia = robot.find(f"link[@name='{link}']/inertial/inertia")
-        assert inertia is not None
-        values = {"ixx": ixx, "iyy": iyy, "izz": izz, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0}
-        inertia.attrib.update({key: str(value) for key, value in values.items()})
-
-    return change
+    zeros = dict.fromkeys(("ixy", "ixz", "iyz"), 0.0)
+    return written(f"link[@name='{link}']/inertial/inertia", ixx=ixx, iyy=iyy, izz=izz, **zeros)
 
 
 def without_inertial(link: str) -> Change:
@@ -68,19 +70,10 @@ def all_links(mass: str, moment: str) -> Change:
     """The same numbers in every <inertial>."""
 
     def change(robot: ET.Element) -> None:
-        for inertial in robot.iter("inertial"):
-            inertial.find("mass").set("value", mass)  # type: ignore[union-attr]
-            values = dict.fromkeys(("ixx", "iyy", "izz"), moment)
-            zeros = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-            inertial.find("inertia").attrib.update(values | zeros)  # type: ignore[union-attr]
-
-    return change
-
-
-def joint_limits(key: str, value: str) -> Change:
-    def change(robot: ET.Element) -> None:
-        for limit in robot.iter("limit"):
-            limit.set(key, value)
+        written("link/inertial/mass", value=mass)(robot)
+        values = dict.fromkeys(("ixx", "iyy", "izz"), moment)
+        zeros = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+        written("link/inertial/inertia", **values, **zeros)(robot)
 
     return change
 
@@ -123,8 +116,8 @@ PLANTED: list[tuple[str, str, str, Change]] = [
     ("ur5", "load", "", times(["forearm_link"], "mass", "value", -1.0)),
     ("kinova", "load", "", shifted("j2s6s200_link_2", "0 nan 0")),
     ("panda", "load", "", all_links("0", "0")),
-    ("ur5", "limits", "shoulder_pan_joint", joint_limits("effort", "0")),
-    ("kinova", "limits", "j2s6s200_joint_1", joint_limits("velocity", "0")),
+    ("ur5", "limits", "shoulder_pan_joint", written("joint/limit", effort="0")),
+    ("kinova", "limits", "j2s6s200_joint_1", written("joint/limit", velocity="0")),
 ]  # fmt: skip
 
 

@@ -176,26 +176,11 @@ def test_an_inertia_without_mass_is_reported() -> None:
 
 
 REFUSED = {
-    "planar parts": (
-        arm("planar", "").replace('"k"', '"j_TX"'),
-        "'j_TX'; rename",
-    ),
+    "planar parts": (arm("planar", "").replace('"k"', '"j_TX"'), "'j_TX'; rename"),
     "floating below": (arm("floating", ""), "floating joint 'j'.*'world'.*free base"),
     "unknown kind": (arm("hinge"), r"joint 'j': No kind of joint is called 'hinge'.*revolute"),
     "no kind": (arm(None), "joint 'j' has no type"),
-    "negative mass": (arm(tip=INERTIAL.replace('value="1"', 'value="-1"')), "negative mass -1"),
-    "mass in words": (arm(tip=INERTIAL.replace('value="1"', 'value="1 kg"')), "'1 kg'"),
-    "nan": (arm(tip=INERTIAL.replace('ixx=".1"', 'ixx="nan"')), "'nan'.*finite"),
     "limit in words": (arm(inside=LIMIT.replace('"-1"', '"-1rad"')), "'-1rad'"),
-    "two roots": (urdf(link("a"), link("b"), link("c"), joint("j", "a b")), "2 root links"),
-    "cycle": (
-        urdf(link("r"), link("a"), link("b"), joint("j", "a b"), joint("k", "b a")), "cycle"
-    ),
-    "two parents": (
-        urdf(link("a"), link("b"), link("c"), joint("j", "a c"), joint("k", "b c")), "two parents"
-    ),
-    "names twice": (urdf(link("a"), link("a"), joint("j", "a a")), "called 'a'"),
-    "nobody": (urdf(link("a"), joint("j", "a ghost")), "'ghost'"),
     "too deep": (urdf("<a>" * 2000 + "</a>" * 2000, link("a")), "deep"),
 }  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,6 +129,10 @@ URDF = """<robot name="arm">
 PHI = random_phi(np.random.default_rng(3))
 
 
+ARM = '<body name="arm"><joint/><geom size=".1"/></body>'
+"""An MJCF body with the inertia of its shape."""
+
+
 @pytest.fixture
 def mjcf(tmp_path: Path) -> Path:
     path = tmp_path / "arm.xml"
@@ -147,16 +152,29 @@ def reread(path: Path, text: str) -> RobotModel:
     return load_robot(path)
 
 
+def check_written(path: Path, name: str, text: str) -> RobotModel:
+    """The body has PHI, and the others what they had."""
+    before, after = load_robot(path), reread(path, text)
+    for body, phi, old in zip(before.body_names, after.phi, before.phi, strict=True):
+        np.testing.assert_allclose(phi, PHI if body == name else old, rtol=0, atol=1e-12)
+    return after
+
+
 @pytest.mark.parametrize("name", ["base", "arm", "tip", "body4"])
 def test_every_kind_of_body_is_written(mjcf: Path, name: str) -> None:
-    before = load_robot(mjcf)
     text = update_mjcf(mjcf, {name: PHI})
     assert text.count("\r") == MJCF.count("\r")
     assert "größer" in text
     assert '<!-- an arm <inertial mass="9"/> with everything -->' in text
-    after = reread(mjcf, text)
-    for body, phi, old in zip(before.body_names, after.phi, before.phi, strict=True):
-        np.testing.assert_allclose(phi, PHI if body == name else old, rtol=0, atol=1e-12)
+    check_written(mjcf, name, text)
+
+
+@pytest.mark.parametrize("name", ["base", "bare", "half", "none"])
+def test_every_kind_of_link_is_written(urdf: Path, name: str) -> None:
+    text = update_urdf(urdf, {name: PHI}, {"j1": {"damping": 0.3}})
+    assert 'rpy="0.1 0.2 0.3"' in text
+    assert '<mesh filename="a.stl"/>' in text
+    assert check_written(urdf, name, text).joint_terms.viscous[0] == 0.3
 
 
 def test_a_body_that_had_shapes_alone_keeps_them(mjcf: Path) -> None:
@@ -187,40 +205,15 @@ def test_points_rods_and_laminae_are_written(
     )
 
 
-def test_joint_terms_have_the_units_of_the_file(mjcf: Path) -> None:
-    values = {
-        "damping": 0.7,
-        "frictionloss": 0.1,
-        "armature": 0.02,
-        "stiffness": 4.0,
-        "springref": 1.1,
-    }
-    assert set(values) == set(JOINT_KEYS)
-    for joint in ("j1", "joint2"):
-        text = update_mjcf(mjcf, {}, {joint: values})
-        assert "0.7 0.25" in text  # the quadratic part of the default's damping stays
-        again = load_robot(mjcf)
-        again = reread(mjcf, text)
-        dof = again.rows.index(joint)
-        terms = again.joint_terms
-        assert terms.viscous[dof] == 0.7
-        assert terms.coulomb[dof] == 0.1
-        assert terms.armature[dof] == 0.02
-        assert terms.spring[dof] == 4.0
-        assert terms.spring_reference[dof] == pytest.approx(1.1, abs=1e-15)
-        mjcf.write_bytes(MJCF.encode())
-
-
-@pytest.mark.parametrize("name", ["base", "bare", "half", "none"])
-def test_every_kind_of_link_is_written(urdf: Path, name: str) -> None:
-    before = load_robot(urdf)
-    text = update_urdf(urdf, {name: PHI}, {"j1": {"damping": 0.3}})
-    assert 'rpy="0.1 0.2 0.3"' in text
-    assert '<mesh filename="a.stl"/>' in text
-    after = reread(urdf, text)
-    assert after.joint_terms.viscous[0] == 0.3
-    for body, phi, old in zip(before.body_names, after.phi, before.phi, strict=True):
-        np.testing.assert_allclose(phi, PHI if body == name else old, rtol=0, atol=1e-12)
+@pytest.mark.parametrize("joint", ["j1", "joint2"])
+def test_joint_terms_have_the_units_of_the_file(mjcf: Path, joint: str) -> None:
+    values = dict(zip(JOINT_KEYS, (0.7, 0.1, 0.02, 4.0, 1.1), strict=True))
+    text = update_mjcf(mjcf, {}, {joint: values})
+    assert "0.7 0.25" in text  # the quadratic part of the default's damping stays
+    again = reread(mjcf, text)
+    names = ("viscous", "coulomb", "armature", "spring", "spring_reference")
+    terms = [getattr(again.joint_terms, name)[again.rows.index(joint)] for name in names]
+    np.testing.assert_allclose(terms, [*values.values()], rtol=0, atol=1e-15)
 
 
 # --- Refusals -------------------------------------------------------------------------------
@@ -235,30 +228,37 @@ def test_what_was_not_identified_is_named_and_not_written(mjcf: Path, urdf: Path
         assert path.read_bytes() == before
 
 
-def test_what_cannot_exist_is_named_and_not_written(mjcf: Path, urdf: Path) -> None:
-    light, thin = PHI.copy(), PHI.copy()
-    light[0] = -1.0
-    thin[4] *= 4.0  # breaks the triangle inequality
-    with pytest.raises(ModelError, match=r"no body can have the parameters of tip .*, base "):
-        update_mjcf(mjcf, {"tip": light, "base": thin, "arm": PHI})
-    with pytest.raises(ModelError, match="positive semidefinite"):
-        update_urdf(urdf, {"half": thin})
-    with pytest.raises(ModelError, match=r"damping of the joint 'j1' is -0\.1"):
-        update_mjcf(mjcf, {}, {"j1": {"damping": -0.1}})
+LIGHT, THIN = PHI * np.array([-1.0] + [1] * 9), PHI * np.array([1, 1, 1, 1, 4.0] + [1] * 5)
+"""A negative mass, and moments that break the triangle inequality."""
+REFUSED: list[tuple[type[Exception], str, dict[str, Any], dict[str, Any], str]] = [
+    (ModelError, "xml", {"tip": LIGHT, "base": THIN, "arm": PHI}, {}, "parameters of tip .*, base"),
+    (ModelError, "urdf", {"half": THIN}, {}, "positive semidefinite"),
+    (ModelError, "xml", {}, {"j1": {"damping": -0.1}}, r"damping of the joint 'j1' is -0\.1"),
+    (ModelError, "urdf", {}, {"j1": {"armature": 0.1}}, "no armature of joints"),
+    (UsageError, "xml", {"tipp": PHI}, {}, "Did you mean 'tip'"),
+    (UsageError, "xml", {}, {"joint1": {"damping": 1.0}}, "Did you mean 'joint"),
+    (UsageError, "xml", {}, {"j1": {"dampin": 1.0}}, "Did you mean 'damping'"),
+    (UsageError, "xml", {"tip": PHI[:9]}, {}, "ten finite numbers"),
+    (UsageError, "xml", {"tip": PHI * np.nan}, {}, "ten finite numbers"),
+    (UsageError, "xml", {"tip": (1.0, "x", 2)}, {}, "cannot have"),
+    (UsageError, "xml", {"tip": [1, 2, 3]}, {}, r"'tip' cannot have \[1, 2, 3\]; it needs ten"),
+    (UsageError, "xml", {}, {"j1": {"damping": np.inf}}, "must be finite"),
+]
 
 
-def test_wrong_words_are_usage(mjcf: Path) -> None:
-    for bodies, joints, read_back in (
-        ({"tipp": PHI}, {}, "Did you mean 'tip'"),
-        ({}, {"joint1": {"damping": 1.0}}, "Did you mean 'joint"),
-        ({}, {"j1": {"dampin": 1.0}}, "Did you mean 'damping'"),
-        ({"tip": PHI[:9]}, {}, "ten finite numbers"),
-        ({"tip": PHI * np.nan}, {}, "ten finite numbers"),
-        ({"tip": (1.0, "x", 2)}, {}, "cannot have"),
-        ({}, {"j1": {"damping": np.inf}}, "must be finite"),
-    ):
-        with pytest.raises(UsageError, match=read_back):
-            update_mjcf(mjcf, bodies, joints)
+@pytest.mark.parametrize(("error", "format", "bodies", "joints", "words"), REFUSED)
+def test_wrong_values_and_names_are_not_written(
+    mjcf: Path,
+    urdf: Path,
+    error: type[Exception],
+    format: str,
+    bodies: Any,
+    joints: Any,
+    words: str,
+) -> None:
+    write, path = {"xml": (update_mjcf, mjcf), "urdf": (update_urdf, urdf)}[format]
+    with pytest.raises(error, match=words):
+        write(path, bodies, joints)
 
 
 def test_the_other_format_is_refused(mjcf: Path, urdf: Path) -> None:
@@ -268,9 +268,32 @@ def test_the_other_format_is_refused(mjcf: Path, urdf: Path) -> None:
         update_urdf(mjcf, {})
 
 
-def test_a_urdf_has_no_armature(urdf: Path) -> None:
-    with pytest.raises(ModelError, match="no armature of joints"):
-        update_urdf(urdf, {}, {"j1": {"armature": 0.1}})
+FILES = {
+    f'<mujoco><worldbody><replicate count="2" offset="1 0 0">{ARM}</replicate></worldbody>'
+    "</mujoco>": "<replicate> creates it",
+    "<?xml version='1.0' encoding='iso-8859-1'?><!-- gr\xf6\xdfer --><mujoco><worldbody>"
+    f"{ARM}</worldbody></mujoco>": "UTF-8",
+} | {
+    f"<mujoco><compiler {option}/><worldbody>{ARM}</worldbody></mujoco>": option.partition("=")[0]
+    for option in ('settotalmass="3"', 'inertiafromgeom="true"', 'boundmass="50"')
+}
+
+
+@pytest.mark.parametrize("text", FILES)
+def test_files_that_copy_or_overrule_what_is_written_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(ModelError, match=FILES[text]):
+        update_mjcf(path, {load_robot(path).body_names[0]: PHI})
+
+
+def test_inertia_from_shapes_alone_is_to_become_auto(tmp_path: Path) -> None:
+    path, text = tmp_path / "arm.xml", next(text for text in FILES if "inertiafromgeom" in text)
+    path.write_text(text)
+    with pytest.raises(ModelError, match='set inertiafromgeom="auto"'):
+        update_mjcf(path, {"arm": PHI})
+    path.write_text(text.replace("true", "auto"))
+    check_written(path, "arm", update_mjcf(path, {"arm": PHI}))
 
 
 def test_bodies_of_included_files_are_refused_and_others_written(tmp_path: Path) -> None:
@@ -280,8 +303,7 @@ def test_bodies_of_included_files_are_refused_and_others_written(tmp_path: Path)
     )
     path = tmp_path / "arm.xml"
     path.write_text(
-        '<mujoco><worldbody><body name="arm"><joint/><geom size=".1"/>'
-        '<include file="parts/hand.xml"/></body></worldbody></mujoco>'
+        f'<mujoco><worldbody>{ARM[:-7]}<include file="parts/hand.xml"/></body></worldbody></mujoco>'
     )
     after = reread(path, update_mjcf(path, {"arm": PHI}))
     np.testing.assert_allclose(after.phi[0], PHI, atol=1e-12)
@@ -290,16 +312,6 @@ def test_bodies_of_included_files_are_refused_and_others_written(tmp_path: Path)
             update_mjcf(path, bodies, joints)
     with pytest.raises(ModelError, match="'joint1' cannot be written"):  # its place is not known
         update_mjcf(path, {}, {"joint1": {"damping": 1.0}})
-
-
-def test_copies_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "arm.xml"
-    path.write_text(
-        '<mujoco><worldbody><replicate count="2" offset="1 0 0"><body name="arm"><joint/>'
-        '<geom size=".1"/></body></replicate></worldbody></mujoco>'
-    )
-    with pytest.raises(ModelError, match="<replicate> creates it"):
-        update_mjcf(path, {load_robot(path).body_names[0]: PHI})
 
 
 GEARED = """<mujoco><worldbody><body name="a"><joint name="ja" damping="3" armature="0.2"/>
@@ -335,42 +347,6 @@ def test_less_than_what_an_actuator_adds_is_refused_with_its_name(tmp_path: Path
         update_mjcf(path, {}, {"ja": {"armature": 0.1}})
 
 
-def test_inertia_from_shapes_alone_is_to_become_auto(tmp_path: Path) -> None:
-    path = tmp_path / "arm.xml"
-    text = (
-        '<mujoco><compiler inertiafromgeom="true"/><worldbody><body name="arm"><joint/>'
-        '<geom size=".1"/></body></worldbody></mujoco>'
-    )
-    path.write_text(text)
-    with pytest.raises(ModelError, match='set inertiafromgeom="auto"'):
-        update_mjcf(path, {"arm": PHI})
-    path.write_text(text.replace("true", "auto"))
-    np.testing.assert_allclose(
-        reread(path, update_mjcf(path, {"arm": PHI})).phi, PHI[None], rtol=0, atol=1e-12
-    )
-
-
-@pytest.mark.parametrize("option", ['settotalmass="3"', 'inertiafromgeom="true"', 'boundmass="50"'])
-def test_a_compiler_that_overrules_what_is_written_is_named(tmp_path: Path, option: str) -> None:
-    path = tmp_path / "arm.xml"
-    path.write_text(
-        f'<mujoco><compiler {option}/><worldbody><body name="arm"><joint/><geom size=".1"/>'
-        "</body></worldbody></mujoco>"
-    )
-    with pytest.raises(ModelError, match=option.partition("=")[0]):
-        update_mjcf(path, {"arm": PHI})
-
-
-def test_other_encodings_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "arm.xml"
-    path.write_bytes(
-        b"<?xml version='1.0' encoding='iso-8859-1'?><!-- gr\xf6\xdfer -->"
-        b'<mujoco><worldbody><body name="arm"><joint/><geom size=".1"/></body></worldbody></mujoco>'
-    )
-    with pytest.raises(ModelError, match="UTF-8"):
-        update_mjcf(path, {"arm": PHI})
-
-
 def test_nothing_is_written_beside_the_source(mjcf: Path) -> None:
     before = {path: path.read_bytes() for path in mjcf.parent.iterdir()}
     update_mjcf(mjcf, {"tip": PHI})
@@ -404,12 +380,3 @@ def test_a_rod_almost_along_an_axis_is_read_as_it_moves(mjcf: Path, angle: float
     phi = phi_of(2.0, np.array([0.01, 0.0, 0.2]), R @ np.diag([0.3, 0.3, 1e-8]) @ R.T)
     after = reread(mjcf, update_mjcf(mjcf, {"tip": phi}))
     np.testing.assert_allclose(after.phi[after.body_names.index("tip")], phi, rtol=0, atol=3.1e-7)
-
-
-def test_three_numbers_are_no_body_in_a_sentence(tmp_path: Path) -> None:
-    file = tmp_path / "r.xml"
-    file.write_text(
-        '<mujoco><worldbody><body name="l2"><joint/><geom size=".1"/></body></worldbody></mujoco>'
-    )
-    with pytest.raises(UsageError, match=r"'l2' cannot have \[1, 2, 3\]; it needs ten finite"):
-        update_mjcf(file, {"l2": [1, 2, 3]})

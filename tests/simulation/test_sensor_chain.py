@@ -12,7 +12,6 @@ from sysid_bench.simulation.sensors import (
     SensorChain,
     TorqueSignal,
     sampled_with_delay,
-    sensor_chain,
 )
 from sysid_bench.types import Array, Oracle, Recording, Trajectory
 from tests.closeness import assert_close
@@ -147,7 +146,7 @@ def test_lags_add_up_and_jitter_is_common_to_the_joints_of_a_sample() -> None:
         Delay(q=0.0, tau=0.003),
         build("sensor_error", "jitter"),
     ]
-    chain = sensor_chain(robot, errors, [rng(k) for k in range(3)])
+    chain = SensorChain(tuple(error.prepare(robot, rng(k)) for k, error in enumerate(errors)))
     q, tau = chain.sampling_delay(np.arange(5000) / 200.0, 6, rng)
     np.testing.assert_allclose(tau - q, 0.004, atol=1e-15)
     assert not np.ptp(q, axis=1).any()

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.simulation.sensors import Noise, noise_samples, position_error, with_position_error
+from sysid_bench.simulation.sensors import Noise, position_error, with_position_error
 from sysid_bench.types import Array
 from tests.experiments.experiment_world import CLOSED_LOOP, SMOOTH, ready, robot_of
 
@@ -22,7 +22,7 @@ NOISE = {"q": 1e-4, "tau_relative": 0.01}
 def test_a_rounded_reading_is_on_the_grid_and_near(quantum: float, std: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(50, 3))
-    draws = noise_samples(50, 50, 3, rng)
+    draws = rng.normal(size=(50, 3))
     exact = position_error(Noise(q=std), draws, q)
     read = q + position_error(Noise(q=std, quantum=quantum), draws, q)
     steps = read / quantum

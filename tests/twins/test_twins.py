@@ -181,7 +181,7 @@ def test_noise_has_level_and_memory_of_the_residual(constant: float, filter: Any
         stage = TorqueNoise(**settings).prepare(robot, rng)
         zero = np.zeros((len(t), robot.nv))
         assert stage is not None
-        return stage.torque_reading(TorqueSignal(t, zero, zero, zero[0]), rng)
+        return np.asarray(stage.torque_reading(TorqueSignal(t, zero, zero, zero[0]), rng))
 
     entry = {"std": 2.0, "share": 0.0, "time_constant": constant}
     residual = filter.smooth(noise(entry), RATE)

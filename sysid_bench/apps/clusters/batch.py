@@ -28,15 +28,6 @@ from sysid_bench.version_fields import environment, package_hash, version_fields
 
 
 @dataclass(frozen=True)
-class Limits:
-    """Limits of cells: s, threads, bytes."""
-
-    timeout: float
-    threads: int
-    memory: float | None
-
-
-@dataclass(frozen=True)
 class BatchAnswer:
     """Rows of a batch, the files that its cells wrote below artifacts and the machine, or why it
     does not compute the batch (`refusal`)."""
@@ -53,11 +44,9 @@ class BatchWorker:
     Its thread lives as long as the seat: a worker ends with the thread that started it.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: WorkerSettings) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="sysid_bench_seat_"))
-        settings = WorkerSettings(
-            self._folder, limits.timeout, limits.threads, memory=limits.memory
-        )
+        settings = replace(limits, folder=self._folder)
         self._supervisor = WorkerSet(settings, 1, False, no_progress)
         self._arriving = NewRows(self._folder)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="seat")
@@ -198,10 +187,11 @@ def with_folders(value: Any, places: Mapping[str, str]) -> Any:
 
 @dataclass(frozen=True)
 class Batch:
-    """Jobs, their limits, and the hash of the code that planned them ("" for any)."""
+    """Jobs, the limits of their cells, which are of no folder yet, and the hash of the code that
+    planned them ("" for any)."""
 
     jobs: tuple[Job, ...]
-    limits: Limits
+    limits: WorkerSettings
     code: str
 
 
@@ -229,12 +219,12 @@ def environment_fields() -> Mapping[str, Any]:
     return {"id": canonical_hash(parts)[:8], **parts}
 
 
-_idle: dict[Limits, dict[BatchWorker, str]] = {}  # seat -> group of its last job
+_idle: dict[WorkerSettings, dict[BatchWorker, str]] = {}  # seat -> group of its last job
 _lock = threading.Lock()
 
 
 @contextmanager
-def _seat(limits: Limits, jobs: Sequence[Job]) -> Iterator[BatchWorker]:
+def _seat(limits: WorkerSettings, jobs: Sequence[Job]) -> Iterator[BatchWorker]:
     """Yield an idle seat with these limits for some jobs: one that had their group last if there is
     any, or a new one; seats of other limits end."""
     with _lock:

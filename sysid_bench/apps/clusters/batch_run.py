@@ -10,14 +10,14 @@ import queue
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Final, Protocol
 
 from sysid_bench.apps.clusters.batch import (
     Batch,
     BatchAnswer,
     BatchWorker,
-    Limits,
     environment_fields,
 )
 from sysid_bench.errors import FAILURES, UsageError
@@ -133,8 +133,7 @@ class ExecutorRun:
         self._interrupted = threading.Event()
         self._failed = False
         self._seat: BatchWorker | None = None
-        settings = self.work.settings
-        self._limits = Limits(settings.timeout, settings.threads, settings.memory)
+        self._limits = replace(self.work.settings, folder=Path(), keep_open=())
 
     def run(self) -> RunEnd:
         """Send batches and write the rows of their answers until none is owed."""

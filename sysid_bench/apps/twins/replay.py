@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.simulated.built_plant import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise
@@ -40,8 +39,7 @@ class Replay:
             motion = _motion_text(self.robot, recording)
             Path(folder, MOTION).write_text(motion, encoding="utf-8")
             part = noise_free_part(spec, LoadedRobot(self.robot, Path(folder)))
-            sensors = MeasuredSensors(spec, part.simulated.built, part.task)
-            raw = record(spec, part.simulated, sensors).raw
+            raw = record(spec, part.simulated).raw
         # As a log in memory, with the exact rates of the motion.
         places = {joint.dofs[0]: joint.qadr for joint in self.robot.joints if len(joint.dofs) == 1}
         names, dofs = self.robot.torque_rows, self.robot.torque_dofs

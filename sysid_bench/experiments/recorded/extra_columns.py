@@ -22,17 +22,14 @@ from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.words import MOTOR
 
-WIDTHS: Final = (0.003, 0.01, 0.03)
-"""Widths of play as shares of a joint's range: backlash of cables is of this order."""
-
-SCALES: Final = (0.01, 0.05)
-"""rad/s, m/s, of the smooth transition of Coulomb friction through zero velocity."""
+# Shares of a joint's range: backlash of cables is of this order.
+_WIDTHS = [{"width": 0.003}, {"width": 0.01}, {"width": 0.03}]
+# rad/s, m/s, of the smooth transition of Coulomb friction through zero velocity.
+_SCALES = [{"scale": 0.01}, {"scale": 0.05}]
 
 VARIANTS: Final[Mapping[str, Sequence[Mapping[str, float]]]] = {
-    "play": [{"width": width} for width in WIDTHS],
-    "playq": [{"width": width} for width in WIDTHS],
-    "tanh": [{"scale": scale} for scale in SCALES],
-}
+    "play": _WIDTHS, "playq": _WIDTHS, "tanh": _SCALES,
+}  # fmt: skip
 """Settings of features that are nonlinear in a parameter and are used with several values of it: a
 weighted sum of plays (Prandtl-Ishlinskii) approximates hysteresis whose width is unknown."""
 
@@ -63,18 +60,15 @@ class ExtraColumns:
         self, row: str, chosen: Sequence[str], motion: Trajectory, motors: Trajectory | None
     ) -> tuple[list[str], Array]:
         """Those of the chosen names that act in a joint's row, and their values (N, k)."""
-        names = self._acting(row, chosen, self.joints.columns)
+        acting = [name for name in chosen if row in self.rows_of(name)]
+        names = [name for name in acting if name in self.joints.columns]
         values = self.joints.of_joint(row, motion, names)
         if self.motors is None or motors is None:
             return names, values
-        coupled = self._acting(row, chosen, self.motors.columns)
+        coupled = [name for name in acting if name in self.motors.columns]
         if not coupled:
             return names, values
         return names + coupled, np.column_stack([values, self.motors.on_row(row, coupled, motors)])
-
-    def _acting(self, row: str, chosen: Sequence[str], columns: Sequence[str]) -> list[str]:
-        """Those of the chosen names among some columns that are not zero in a joint's row."""
-        return [name for name in chosen if name in columns and row in self.rows_of(name)]
 
     def on_rows(
         self, robot: RobotModel, rows: Sequence[str], chosen: Sequence[str], motion: Trajectory
@@ -107,20 +101,11 @@ def _addresses(robot: RobotModel) -> dict[str, tuple[int, int]]:
     return {dof: (joint.qadr, joint.vadr) for joint in robot.joints for dof in joint.dofs}
 
 
-def motor_terms(words: Sequence[str]) -> tuple[str, ...]:
-    """Those words that name terms or features of motors: "motor.play"."""
-    return tuple(word for word in words if word.startswith(f"{MOTOR}."))
-
-
-def _joint_words(words: Sequence[str]) -> tuple[str, ...]:
-    """Those words that name terms or features of joints: "viscous", "play", "j2.poly"."""
-    return tuple(word for word in words if not word.startswith(f"{MOTOR}."))
-
-
-def _feature_of(word: str, rows: Sequence[str]) -> str:
-    """The feature that a word names, without its joint."""
-    joint = joint_of(word, rows)
-    return word.removeprefix(f"{joint}.") if joint else word
+def _joint_features(words: Sequence[str], rows: Sequence[str]) -> list[tuple[str, str]]:
+    """(joint, feature) of those words that name features of joints: "play", of all joints and
+    without one, or "j2.poly"; not of motors: "motor.play"."""
+    parts = ((joint_of(word, rows), word) for word in words if not word.startswith(f"{MOTOR}."))
+    return [(joint, word.removeprefix(f"{joint}.") if joint else word) for joint, word in parts]
 
 
 def columns_of_features(
@@ -130,9 +115,9 @@ def columns_of_features(
     `several`: with each setting of VARIANTS."""
     return tuple(
         f"{row}.{suffix}"
-        for word in _joint_words(words)
-        for row in ((joint_of(word, rows),) if joint_of(word, rows) else rows)
-        for feature in _features([_feature_of(word, rows)], folder, several)
+        for joint, name in _joint_features(words, rows)
+        for row in ((joint,) if joint else rows)
+        for feature in _features([name], folder, several)
         for suffix in feature.suffixes
     )
 
@@ -153,12 +138,13 @@ def extra_columns(
     motions = [log.recording.motion for log in training]
     folder = plugin_folder(robot)
     named, more = (
-        tuple(dict.fromkeys(_feature_of(word, rows) for word in _joint_words(some)))
+        tuple(dict.fromkeys(name for _, name in _joint_features(some, rows)))
         for some in (words, candidates)
     )
     features = [*_features(named, folder, False), *_features(more, folder)]
     table = features_of(features, rows, [address[row] for row in rows], motions)
-    of_motors = [word.removeprefix(f"{MOTOR}.") for word in motor_terms((*words, *candidates))]
+    every = (*words, *candidates)
+    of_motors = [w.removeprefix(f"{MOTOR}.") for w in every if w.startswith(f"{MOTOR}.")]
     return ExtraColumns(table, _motors(of_motors, training) if of_motors else None)
 
 
@@ -171,41 +157,30 @@ def plugin_folder(robot: RobotModel) -> Path | None:
 
 def _motors(words: Sequence[str], training: Sequence[ProcessedLog]) -> MotorColumns:
     """The columns of motors, which all training logs have to drive alike."""
-    motions = [log.motors for log in training if log.motors is not None]
-    joints, transmission = _common_transmission(words[0], training)
+    first, motions = training[0].log.description, list[Trajectory]()
+    for log in training:
+        if log.motors is None:
+            raise UsageError(
+                f"'motor.{words[0]}' needs transmission = [[...], ...] (q = G q_motor) in "
+                f"{first.source}: motors that move joints together."
+            )
+        motions.append(log.motors)
+        other = log.log.description
+        same = np.array_equal(np.asarray(other.transmission), np.asarray(first.transmission))
+        if other.joints != first.joints or not same:
+            raise UsageError(f"{other.source} has another transmission than {first.source}.")
     unknown = [word for word in words if word in SUFFIX and word not in MOTOR_TERMS]
     if unknown:  # such as a spring
         advice = "Features, such as play, are also possible."
         raise unknown_name("term of motors", unknown[0], MOTOR_TERMS, advice)
-    names = motor_names(len(joints))
+    names = motor_names(len(first.joints))
     features = _features([word for word in words if word not in MOTOR_TERMS])
     table = features_of(features, names, [(k, k) for k in range(len(names))], motions)
-    inverse = np.linalg.inv(transmission)
+    inverse = np.linalg.inv(np.asarray(first.transmission))
     # Rounding of the inverse would give a column to every joint that the motor does not move.
     inverse[np.abs(inverse) < 1e-12 * np.abs(inverse).max()] = 0.0
     plain = tuple(SUFFIX[word] for word in words if word in MOTOR_TERMS)
-    return MotorColumns(inverse, joints, plain, table)
-
-
-def _common_transmission(
-    word: str, training: Sequence[ProcessedLog]
-) -> tuple[tuple[str, ...], Array]:
-    """Joints and transmission G (k, k) of all logs; UsageError where a log states none or another.
-
-    `word` is a term of motors that needs it.
-    """
-    first = training[0].log.description
-    if any(log.motors is None for log in training):
-        raise UsageError(
-            f"'motor.{word}' needs transmission = [[...], ...] (q = G q_motor) in "
-            f"{first.source}: motors that move joints together."
-        )
-    G = np.asarray(first.transmission)
-    for log in training[1:]:
-        other = log.log.description
-        if other.joints != first.joints or not np.array_equal(np.asarray(other.transmission), G):
-            raise UsageError(f"{other.source} has another transmission than {first.source}.")
-    return first.joints, G
+    return MotorColumns(inverse, first.joints, plain, table)
 
 
 def _features(names: Sequence[str], folder: Path | None = None, several: bool = True) -> list[Any]:

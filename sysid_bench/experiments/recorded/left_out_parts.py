@@ -58,16 +58,24 @@ def select_terms(
     wide = _with_candidates(unknowns, candidates, training)
     names = wide.base().names
     # Factors of all candidates once: the search only takes columns of them.
-    folds = _folds(LogProblemBuilder(wide, names, preprocessing), training)
+    builder, width = LogProblemBuilder(wide, names, preprocessing), len(names)
+    parts = [
+        [qr_factor(spread(factor, width) for factor in factors) for factors in part]
+        for part in fold_factors(builder, training, FOLDS)
+    ]
+    folds = []  # the rows of each joint, of the other parts together and of the part left out
+    for f, left_out in enumerate(parts):
+        others = zip(*(parts[:f] + parts[f + 1 :]), strict=True)
+        folds.append(
+            [FoldRow(qr_factor(R), last) for R, last in zip(others, left_out, strict=True)]
+        )
     known = {*unknowns.robot_parameters, *unknowns.payload_parameters, *unknowns.extra}
     start = [i for i, name in enumerate(names) if name in known]
     optional = []
     for i, name in enumerate(names):
-        if name in known:
-            continue
         # The recorded rows in which a term or feature acts.
         rows = tuple(wide.rows.index(row) for row in wide.rows_of(name) if row in wide.rows)
-        if rows:
+        if name not in known and rows:
             optional.append((rows, i))
     choice = select_columns(folds, start, optional)
     added = {names[i] for i in choice.columns} - known
@@ -84,21 +92,6 @@ def select_terms(
         extra=tuple(name for name in wide.extra if name in extra),
     )
     return selected, selection
-
-
-def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list[list[FoldRow]]:
-    """The rows of each joint, of the other parts together and of the part left out."""
-    width = len(builder.columns)
-    parts = [
-        [qr_factor(spread(factor, width) for factor in factors) for factors in part]
-        for part in fold_factors(builder, training, FOLDS)
-    ]
-    folds = []
-    for f, left_out in enumerate(parts):
-        by_row = zip(*(parts[:f] + parts[f + 1 :]), strict=True)
-        pairs = zip(by_row, left_out, strict=True)
-        folds.append([FoldRow(qr_factor(R), last) for R, last in pairs])
-    return folds
 
 
 def _with_candidates(

@@ -19,7 +19,6 @@ from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.spatial import gyration, phi_of
 from sysid_bench.types import Array, Prior, Problem
 
-_KEYS: Final = ("mass", "com", "inertia", "terms")
 MODEL, NONE = "model", "none"
 """Priors by name: the model file's parameters, where they are plausible, and none at all."""
 
@@ -59,11 +58,18 @@ def model_prior(
     Joint terms that the file does not have, and all of them with "model", are weakly known: about
     as large as would explain the whole torque of their joint.
     """
-    stated = _stated_spreads(choice)
+    keys = ("mass", "com", "inertia", "terms")
+    if isinstance(choice, str) and choice not in (MODEL, NONE):
+        raise unknown_name("prior of a recording", choice, (MODEL, NONE))
+    for key in () if isinstance(choice, str) else choice:
+        if key not in keys:
+            raise unknown_name("key of a prior", str(key), keys)
     if choice == NONE:
         return ModelPrior(reason="none was asked for")
-    believed = not isinstance(choice, str)
-    reason = "" if believed else placeholder_reason(unknowns.robot)
+    normal = normal_prior(choice)
+    stated: Mapping[str, float] = {} if isinstance(normal, str) else normal
+    # Stated spreads are believed; the file's own values only where they are plausible.
+    reason = placeholder_reason(unknowns.robot) if isinstance(choice, str) else ""
     if reason:
         return ModelPrior(reason=f"the inertias of the model file are placeholders: {reason}")
     theta, std = np.add(
@@ -71,35 +77,14 @@ def model_prior(
         _joint_terms(unknowns, problem, training, stated.get("terms")),
     )
     prior = Prior(theta, std_with_floor(std, problem.parameters))
-    spread = PriorSpread()
-    com = stated.get("com")
-    parts = [
-        f"mass {_percent(stated.get('mass', spread.mass))}",
-        "centre of mass "
-        + (f"{1e3 * com:g} mm" if com else f"{_percent(GYRATION_SHARE)} of the radius of gyration"),
-        f"inertia {_percent(stated.get('inertia', spread.inertia))}",
-        "joint terms "
-        + (_percent(stated["terms"]) if "terms" in stated else "as large as their torque allows"),
-    ]
-    return ModelPrior(prior, text=", ".join(parts))
-
-
-def _stated_spreads(choice: str | Mapping[str, Any]) -> dict[str, float]:
-    """SI numbers of the stated spreads; raises UsageError for other words and keys."""
-    if isinstance(choice, str):
-        if choice not in (MODEL, NONE):
-            raise unknown_name("prior of a recording", choice, (MODEL, NONE))
-        return {}
-    for key in choice:
-        if key not in _KEYS:
-            raise unknown_name("key of a prior", str(key), _KEYS)
-    stated = normal_prior(choice)
-    assert isinstance(stated, dict)
-    return stated
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:g} %"
+    shares = {"mass": PriorSpread.mass, "inertia": PriorSpread.inertia, **stated}
+    text = {key: f"{100 * share:g} %" for key, share in shares.items()}
+    com = f"{100 * GYRATION_SHARE:g} % of the radius of gyration"
+    if stated.get("com"):
+        com = f"{1e3 * stated['com']:g} mm"
+    terms = text.get("terms", "as large as their torque allows")
+    words = f"mass {text['mass']}, centre of mass {com}, inertia {text['inertia']}, "
+    return ModelPrior(prior, text=f"{words}joint terms {terms}")
 
 
 def _links(
@@ -134,7 +119,16 @@ def _joint_terms(
     torque of the row over the RMS of the column where no `share` of the mean is stated."""
     theta, std = np.zeros(len(problem.parameters)), np.zeros(len(problem.parameters))
     inertial = {column for body in problem.bodies for column in body.columns}
-    columns = _column_sizes(problem)
+    # {base parameter: RMS torque over RMS column} of the row in which the column alone is largest;
+    # of joint terms and features, which act in a row of their own.
+    columns: dict[str, float] = {}
+    assert problem.torque is not None
+    for row, factor in enumerate(problem.factors):
+        norms = np.linalg.norm(factor.R[:, :-1], axis=0) / max(factor.samples, 1) ** 0.5
+        for column, norm in zip(factor.columns, norms, strict=True):
+            if norm > 0:
+                base, size = problem.base.names[column], float(problem.torque[row] / norm)
+                columns[base] = min(columns.get(base, np.inf), size)
     in_file = dict(zip(unknowns.terms, unknowns.term_values, strict=True))
     for i, name in enumerate(problem.parameters):
         if name in inertial:
@@ -143,20 +137,6 @@ def _joint_terms(
         weak = columns.get(name) or _term_size(unknowns, problem, training, name)
         std[i] = share * abs(theta[i]) if share is not None and theta[i] else weak
     return theta, std
-
-
-def _column_sizes(problem: Problem) -> dict[str, float]:
-    """{base parameter: RMS torque over RMS column} of the row in which the column alone is largest;
-    of joint terms and features, which act in a row of their own."""
-    assert problem.torque is not None
-    sizes: dict[str, float] = {}
-    for i, factor in enumerate(problem.factors):
-        norms = np.linalg.norm(factor.R[:, :-1], axis=0) / max(factor.samples, 1) ** 0.5
-        for column, norm in zip(factor.columns, norms, strict=True):
-            name = problem.base.names[column]
-            if norm > 0:
-                sizes[name] = min(sizes.get(name, np.inf), float(problem.torque[i] / norm))
-    return sizes
 
 
 def _term_size(

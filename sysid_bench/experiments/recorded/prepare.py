@@ -21,15 +21,14 @@ from sysid_bench.experiments.recorded.process_log import (
     process_log,
 )
 from sysid_bench.experiments.recorded.source import RecordedSource
-from sysid_bench.experiments.recorded.unknowns import Unknowns, check_wrench, unknowns_of
-from sysid_bench.experiments.simulated.estimator_model import SimulatedModel
+from sysid_bench.experiments.recorded.unknowns import check_wrench, unknowns_of
+from sysid_bench.experiments.simulated.problem import SimulatedModel
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import DRIVE_TERMS, Manifest
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.plugin_names import resolve_files
-from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import (
     LogDescription,
@@ -46,66 +45,6 @@ from sysid_bench.units import quantity
 
 if TYPE_CHECKING:
     from sysid_bench.experiments.loaded_robot import LoadedRobot  # loads the engines
-
-
-def recorded_experiment(
-    problem: Problem, builder: LogProblemBuilder, first: ProcessedLog
-) -> Experiment:
-    """The problem, and the functions that methods may call: the regressor, the known torque, and
-    the closed loop where the log declares its controller."""
-    return Experiment(
-        problem=problem,
-        recording=first.recording,
-        raw=first.log.recording,
-        regress=partial(regressor_blocks, builder),
-        simulate=_closed_loop(builder.unknowns, first),
-        known=partial(_known_torque, builder, first),
-        filter_rows=builder.rows_along(first).processed,
-        moving=builder.rows_along(replace(first, rows=MOVING)).weights > 0.0,
-    )
-
-
-def _known_torque(builder: LogProblemBuilder, first: ProcessedLog, motion: Trajectory) -> Array:
-    """Torque (n, rows) of the payload of the first log along a motion, where it is known."""
-    load, unknowns = first.robot.payload_body, builder.unknowns
-    if load is None or unknowns.loaded is not None:
-        return np.zeros((len(motion), len(unknowns.rows)))
-    instruments = unknowns.instruments(first.robot)
-    columns = first.robot.bodies[load].columns
-    regression = torque_regression(first.robot, columns, instruments)
-    at = [regression.rows.index(row) for row in unknowns.rows]
-    whole = instruments.motion(motion)
-    return np.asarray(regression.torque(whole, first.robot.phi[load])[:, at])
-
-
-def _closed_loop(unknowns: Unknowns, first: ProcessedLog) -> Callable[[Any], Recording]:
-    """The closed loop along the commanded motion of a log, as a function of theta (p,)."""
-    if first.log.recording.controller is not None and unknowns.extra:
-        return partial(_refuse, unknowns.extra)
-    robot = first.robot
-    given = np.zeros_like(robot.phi)
-    if robot.payload_body is not None and unknowns.loaded is None:
-        given[robot.payload_body] = robot.phi[robot.payload_body]
-    return SimulatedModel(
-        KnownModel(
-            kinematics_of(robot),
-            unknowns.parameters,
-            unknowns.bodies,
-            robot.tree.link_parameters(given),
-            {},
-            np.zeros((robot.nv, robot.nv)),
-        ),
-        first.log.recording,
-        Candidate(),
-    )
-
-
-def _refuse(features: tuple[str, ...], *_: Any) -> Recording:
-    """Raise UnsupportedError: simulated joints have the terms in SUFFIX alone."""
-    raise UnsupportedError(
-        f"The closed loop cannot be simulated with {first_names(features)}: give --terms of joints "
-        f"alone ({', '.join(SUFFIX)})."
-    )
 
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
@@ -179,7 +118,15 @@ def recorded_data(spec: ExperimentSpec, manifest: Manifest, folder: Path) -> Exp
     training = [
         with_controller(log_description(written, folder), given) for written in spec.log["train"]
     ]
-    tests = _test_descriptions(spec.log["test"], folder)
+    written = spec.log["test"]
+    if isinstance(written, Mapping):
+        tests = {name: log_description(one, folder) for name, one in written.items()}
+    else:  # names that occur more than once are numbered
+        names = [name_of(one) for one in written]
+        tests = {
+            name if names.count(name) == 1 else f"{name} {k + 1}": log_description(one, folder)
+            for k, (name, one) in enumerate(zip(names, written, strict=True))
+        }
     prepared = find_task(options.task).prepare_recordings(
         manifest, training, tests, options.accept, options.prior
     )
@@ -248,10 +195,56 @@ def build_problems(
         prior=prior,
     )
     held_out = {name: builder.build([test], base) for name, test in tests.items()}
-    moved = {name: replace(test, rows=MOVING) for name, test in tests.items()}
-    moving = {name: builder.build([test], base) for name, test in moved.items()}
-    given = recorded_experiment(problem, builder, training[0])
-    return ExperimentData(unknowns.robot, problem, given, held_out, source, moving)
+    moving = {
+        name: builder.build([replace(test, rows=MOVING)], base) for name, test in tests.items()
+    }
+    experiment = _experiment(problem, builder, training[0])
+    return ExperimentData(unknowns.robot, problem, experiment, held_out, source, moving)
+
+
+def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLog) -> Experiment:
+    """The problem, and the functions that methods may call: the regressor, the known torque, and
+    the closed loop where the log declares its controller."""
+    unknowns, robot = builder.unknowns, first.robot
+    simulate: Callable[..., Recording]
+    if first.log.recording.controller is not None and unknowns.extra:
+        simulate = partial(_refuse, unknowns.extra)
+    else:
+        given = np.zeros_like(robot.phi)
+        if robot.payload_body is not None and unknowns.loaded is None:
+            given[robot.payload_body] = robot.phi[robot.payload_body]
+        links, none = robot.tree.link_parameters(given), np.zeros((robot.nv, robot.nv))
+        model = KnownModel(
+            kinematics_of(robot), unknowns.parameters, unknowns.bodies, links, {}, none
+        )
+        simulate = SimulatedModel(model, first.log.recording, Candidate())
+    return Experiment(
+        problem=problem,
+        recording=first.recording,
+        raw=first.log.recording,
+        regress=partial(regressor_blocks, builder),
+        simulate=simulate,
+        known=partial(_known_torque, builder, first),
+        filter_rows=builder.rows_along(first).processed,
+        moving=builder.rows_along(replace(first, rows=MOVING)).weights > 0.0,
+    )
+
+
+def _known_torque(builder: LogProblemBuilder, first: ProcessedLog, motion: Trajectory) -> Array:
+    """Torque (n, rows) of the payload of the first log along a motion, where it is known."""
+    known, unknowns = builder.known(first, motion), builder.unknowns
+    if known is None:
+        return np.zeros((len(motion), len(unknowns.rows)))
+    measured = unknowns.instruments(first.robot).measured
+    return known[:, [measured.index(row) for row in unknowns.rows]]
+
+
+def _refuse(features: tuple[str, ...], *_: Any) -> Recording:
+    """Raise UnsupportedError: simulated joints have the terms in SUFFIX alone."""
+    raise UnsupportedError(
+        f"The closed loop cannot be simulated with {first_names(features)}: give --terms of joints "
+        f"alone ({', '.join(SUFFIX)})."
+    )
 
 
 def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -293,14 +286,3 @@ def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:
     of_joints = tuple(f"{row}." for row in log.robot.rows)
     terms = log.robot.manifest.terms
     return tuple(t for t in terms if "." not in t or t.startswith(of_joints)) or DRIVE_TERMS
-
-
-def _test_descriptions(written: Any, folder: Path) -> dict[str, LogDescription]:
-    """Test logs by name; names that occur more than once are numbered."""
-    if isinstance(written, Mapping):
-        return {name: log_description(one, folder) for name, one in written.items()}
-    names = [name_of(one) for one in written]
-    return {
-        name if names.count(name) == 1 else f"{name} {k + 1}": log_description(one, folder)
-        for k, (name, one) in enumerate(zip(names, written, strict=True))
-    }

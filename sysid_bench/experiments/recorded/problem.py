@@ -1,7 +1,7 @@
 """Problems W beta = b of logs, as triangular factors row by row."""
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Final
 
@@ -34,41 +34,6 @@ UNUSED: Final = -1
 """Label of samples that are in no factor."""
 
 
-@dataclass(eq=False)
-class _RowFactors:
-    """Triangular factors of the row of one joint in a log, one for each label of its samples.
-
-    `index` is that of the row in the regression, `columns` (k,) those that act in it, the last of
-    them the features `extra` (N, k'); `tau` (N,) and `labels` (N,) belong to its samples.
-    """
-
-    row: str
-    index: int
-    columns: Array
-    extra: Array
-    tau: Array
-    labels: Array
-    count: int  # of labels
-    Rs: list[Array] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.Rs = [np.zeros((0, len(self.columns) + 1)) for _ in range(self.count)]
-
-    def add(self, block: MeasuredBlock) -> None:
-        """Add the samples of a block of the regressor."""
-        part = block.samples
-        Wb = np.column_stack([block.row(self.index).T, self.extra[part], self.tau[part]])
-        for label in range(self.count):
-            used = self.labels[part] == label
-            if used.any():
-                self.Rs[label] = qr_factor([self.Rs[label], Wb[used]])
-
-    def factor(self, label: int) -> Factor:
-        """The factor of all samples with a label."""
-        samples = int((self.labels == label).sum())
-        return Factor(self.row, self.columns, self.Rs[label], samples)
-
-
 @dataclass(frozen=True, eq=False)
 class LogProblemBuilder:
     """Builder of problems in the base parameters named `columns`."""
@@ -78,51 +43,58 @@ class LogProblemBuilder:
     preprocessing: LogProcessing
 
     def build(self, logs: Sequence[ProcessedLog], base: BaseMap) -> Problem:
-        """The problem W beta = b of all rows of the logs."""
-        rows = self.unknowns.rows
+        """The problem W beta = b of all rows of the logs, which knows those of the single ones."""
         along = [self.rows_along(log) for log in logs]
         parts = [self.factors(log, np.zeros(len(log.recording), dtype=int), 1)[0] for log in logs]
-        problem = Problem(
+        motions = []
+        for log, factors, one in zip(logs, parts, along, strict=True):
+            motion = log.recording.motion
+            problem = self._problem([log], [one], factors, base)
+            motions.append(
+                replace(problem, period=one.period(motion), repetition=one.repetition(motion))
+            )
+        if len(logs) == 1:
+            return motions[0]
+        factors = [row_factor(row) for row in zip(*parts, strict=True)]
+        return replace(self._problem(logs, along, factors, base), motions=tuple(motions))
+
+    def _problem(
+        self,
+        logs: Sequence[ProcessedLog],
+        along: Sequence[MotionRows],
+        factors: Sequence[Factor],
+        base: BaseMap,
+    ) -> Problem:
+        squares = []  # of the measured torque of each joint, known parts included
+        measured = [self._row_signals(log) for log in logs]
+        for i in range(len(self.unknowns.rows)):
+            parts = [one.row_values(i, x[:, i]) for x, one in zip(measured, along, strict=True)]
+            count = sum(one.count(i) for one in along)
+            squares.append(float((np.concatenate(parts) ** 2).sum()) / max(count, 1))
+        return Problem(
             parameters=self.unknowns.parameters,
             base=base,
-            rows=rows,
+            rows=self.unknowns.rows,
             # QR of each row by itself: weights of rows can be changed without the samples.
-            factors=tuple(map(row_factor, zip(*parts, strict=True))),
+            factors=tuple(factors),
             bodies=self.unknowns.bodies,
             blocks=partial(_blocks, self, tuple(logs)),
             samples=sum(one.samples for one in along),
             kinds=self.unknowns.kinds,
-            torque=self._rms_torque(logs, along),
+            torque=np.sqrt(squares),
         )
-        if len(logs) == 1:
-            motion, one = logs[0].recording.motion, along[0]
-            return replace(problem, period=one.period(motion), repetition=one.repetition(motion))
-        motions = tuple(
-            replace(
-                problem,
-                factors=tuple(factors),
-                blocks=partial(_blocks, self, (log,)),
-                samples=one.samples,
-                torque=self._rms_torque([log], [one]),
-                period=one.period(log.recording.motion),
-                repetition=one.repetition(log.recording.motion),
-            )
-            for log, factors, one in zip(logs, parts, along, strict=True)
-        )
-        return replace(problem, motions=motions)
 
     def regression(self, log: ProcessedLog) -> tuple[MeasuredRegressor, Array]:
         """The regression of the columns that act in a log, and their indices among all (k,)."""
-        robot, parameters = self.unknowns.rigid_bodies(log)
-        return self.rigid_regression(robot, parameters)
+        return self._rigid_regression(*self.unknowns.rigid_bodies(log))
 
     @cached_property
     def without_load(self) -> tuple[MeasuredRegressor, Array]:
         """The regression of the robot's own columns, and their indices: methods that simulate call
         it at every step."""
-        return self.rigid_regression(self.unknowns.robot, self.unknowns.robot_parameters)
+        return self._rigid_regression(self.unknowns.robot, self.unknowns.robot_parameters)
 
-    def rigid_regression(
+    def _rigid_regression(
         self, robot: RobotModel, parameters: Collection[str]
     ) -> tuple[MeasuredRegressor, Array]:
         """The regression of those columns that are among some parameters, and their indices."""
@@ -136,32 +108,32 @@ class LogProblemBuilder:
         """The motion of a log in the coordinates of its regression: those of sensors as well."""
         return self.unknowns.instruments(log.robot).motion(log.recording.motion)
 
+    def known(self, log: ProcessedLog, motion: Trajectory) -> Array | None:
+        """Torque (N, n) of the payload of a log along a motion; None where there is none, or one
+        with unknown parameters, which has columns."""
+        load = log.robot.payload_body
+        if load is None or self.unknowns.loaded is not None:
+            return None
+        columns, instruments = log.robot.bodies[load].columns, self.unknowns.instruments(log.robot)
+        regression = torque_regression(log.robot, columns, instruments)
+        return regression.torque(instruments.motion(motion), log.robot.phi[load])
+
     def torque(self, log: ProcessedLog) -> Array:
         """Measured torque (N, n), with a sensor its wrench behind it, minus that of a known payload
         and that of sensors which end the sub-tree."""
-        tau, load = self._measured(log), log.robot.payload_body
-        # A payload whose parameters are unknown has columns, and stays in the torque.
-        if load is None or self.unknowns.loaded is not None:
-            return tau
-        columns, instruments = log.robot.bodies[load].columns, self.unknowns.instruments(log.robot)
-        regression = torque_regression(log.robot, columns, instruments)
-        return np.asarray(tau - regression.torque(self.motion(log), log.robot.phi[load]))
-
-    def _measured(self, log: ProcessedLog) -> Array:
-        """Measured torques (N, n), then the wrench of each sensor in use (N, 6 sensors)."""
-        tau, sub_tree = log.recording.tau, self.unknowns.sub_tree
-        if sub_tree is None:
-            return tau
-        instruments = self.unknowns.instruments(log.robot)
-        wrench = _measured_wrench(log, instruments.cuts)
-        root = wrench[:, :6].copy()
-        for k, stop in enumerate(instruments.cuts[1:], start=1):
-            # A sub-tree between two sensors feels the difference of their wrenches at one point.
-            end = wrench[:, 6 * k : 6 * k + 6]
-            root -= transform_wrench(
-                instruments, log.recording.motion, instruments.cuts[0], stop, end
-            )
-        return np.hstack([tau, root, wrench[:, 6:]])
+        tau, motion = log.recording.tau, log.recording.motion
+        if self.unknowns.sub_tree is not None:
+            instruments = self.unknowns.instruments(log.robot)
+            wrench = _measured_wrench(log, instruments.cuts)
+            root = wrench[:, :6].copy()
+            for k, stop in enumerate(instruments.cuts[1:], start=1):
+                # A sub-tree between two sensors feels the difference of their wrenches at one
+                # point.
+                end = wrench[:, 6 * k : 6 * k + 6]
+                root -= transform_wrench(instruments, motion, instruments.cuts[0], stop, end)
+            tau = np.hstack([tau, root, wrench[:, 6:]])
+        known = self.known(log, motion)
+        return tau if known is None else np.asarray(tau - known)
 
     def factors(self, log: ProcessedLog, labels: Array, count: int) -> list[list[Factor]]:
         """For each label 0 ... count - 1 the factors of all joints at samples that have it (N,),
@@ -170,19 +142,30 @@ class LogProblemBuilder:
         if along.is_processed:
             return self._processed(log, along).factors_by_label(labels, count)
         regression, indices = self.regression(log)
-        tau = self.torque(log)
-        joints = []
+        tau, rows = self.torque(log), []
         for row in self.unknowns.rows:
             i = regression.rows.index(row)
-            extra, columns = self.extra_columns(log, row)
-            columns = np.concatenate([indices[regression.row_columns[i]], columns])
+            extra, more = self.extra_columns(log, row)
+            columns = np.concatenate([indices[regression.row_columns[i]], more])
             used = np.where(self._moving_rows(log, row), labels, UNUSED)
-            joint = _RowFactors(row, i, columns, extra, tau=tau[:, i], labels=used, count=count)
-            joints.append(joint)
+            rows.append((row, i, columns, extra, used))
+        shapes = [(0, len(columns) + 1) for _, _, columns, _, _ in rows]
+        Rs = [[np.zeros(shape) for shape in shapes] for _ in range(count)]
         for block in regression.blocks(self.motion(log)):
-            for joint in joints:
-                joint.add(block)
-        return [[joint.factor(label) for joint in joints] for label in range(count)]
+            part = block.samples
+            for k, (_, i, _, extra, used) in enumerate(rows):
+                Wb = np.column_stack([block.row(i).T, extra[part], tau[part, i]])
+                for label in range(count):
+                    chosen = used[part] == label
+                    if chosen.any():
+                        Rs[label][k] = qr_factor([Rs[label][k], Wb[chosen]])
+        return [
+            [
+                Factor(row, columns, R, int((used == label).sum()))
+                for (row, _, columns, _, used), R in zip(rows, Rs[label], strict=True)
+            ]
+            for label in range(count)
+        ]
 
     def motors(self, motion: Trajectory) -> Trajectory | None:
         """Motion of the motors along a motion of the robot."""
@@ -193,8 +176,7 @@ class LogProblemBuilder:
         """Feature columns (N, k) of one joint, and their indices among all."""
         values, indices = self.features(row, log.recording.motion, log.motors)
         if self.unknowns.given and log.payload:
-            i = log.robot.torque_rows.index(row)
-            body = log.robot.payload_body
+            i, body = log.robot.torque_rows.index(row), log.robot.payload_body
             assert body is not None
             regression = torque_regression(log.robot, log.robot.bodies[body].columns)
             # phi is linear in the mass where the centre of mass and the inertia per mass are given.
@@ -230,9 +212,9 @@ class LogProblemBuilder:
     def blocks(self, log: ProcessedLog) -> Iterator[RowBlock]:
         """Dense rows W, b of a log; those that are left out are zero."""
         along = self.rows_along(log)
-        return self._processed(log, along).blocks() if along.is_processed else self._blocks(log)
-
-    def _blocks(self, log: ProcessedLog) -> Iterator[RowBlock]:
+        if along.is_processed:
+            yield from self._processed(log, along).blocks()
+            return
         regression, indices = self.regression(log)
         names, tau = self.unknowns.rows, self.torque(log)
         rows = [regression.rows.index(row) for row in names]
@@ -242,16 +224,6 @@ class LogProblemBuilder:
             kept = moving[block.samples]
             W = self.dense(block, indices, features)
             yield W * kept[:, :, None], tau[block.samples][:, rows] * kept
-
-    def _rms_torque(self, logs: Sequence[ProcessedLog], along: Sequence[MotionRows]) -> Array:
-        """RMS (rows,) of the measured torque of each joint, known parts included."""
-        values: list[float] = []
-        measured = [self._row_signals(log) for log in logs]
-        for i in range(len(self.unknowns.rows)):
-            parts = [one.row_values(i, x[:, i]) for x, one in zip(measured, along, strict=True)]
-            count = sum(one.count(i) for one in along)
-            values.append(float((np.concatenate(parts) ** 2).sum()) / max(count, 1))
-        return np.sqrt(values)
 
     def _row_signals(self, log: ProcessedLog) -> Array:
         """Measured signals (N, rows), known parts included."""
@@ -274,15 +246,13 @@ class LogProblemBuilder:
         """The rows of a log as its pipeline leaves them."""
         regression, known = self.regression(log)
         blocks: list[RegressorBlock] = list(regression.blocks(self.motion(log)))
-        tau = self.torque(log)
+        names, tau = self.unknowns.rows, self.torque(log)
         columns, values = [], []
-        for k, row in enumerate(self.unknowns.rows):
+        for k, row in enumerate(names):
             i, (extra, indices) = regression.rows.index(row), self.extra_columns(log, row)
             columns.append(np.concatenate([known[regression.row_columns[i]], indices]))
             values.append(along.of_row(k, row_samples(blocks, i, tau[:, i], extra)))
-        return ProcessedRows(
-            self.unknowns.rows, tuple(columns), tuple(values), along, len(self.columns)
-        )
+        return ProcessedRows(names, tuple(columns), tuple(values), along, len(self.columns))
 
     def _moving_rows(self, log: ProcessedLog, row: str) -> Array:
         """Samples (N,) at which a joint moves fast enough."""
@@ -301,6 +271,12 @@ def _measured_wrench(log: ProcessedLog, cuts: Sequence[SensorSubtree]) -> Array:
     return np.asarray(log.recording.wrench[:, columns])
 
 
+def _blocks(builder: LogProblemBuilder, logs: tuple[ProcessedLog, ...]) -> Iterator[RowBlock]:
+    """Dense rows W, b; those of joints that move too slowly are zero."""
+    for log in logs:
+        yield from builder.blocks(log)
+
+
 def fold_factors(
     builder: LogProblemBuilder, logs: Sequence[ProcessedLog], count: int
 ) -> list[list[tuple[Factor, ...]]]:
@@ -310,12 +286,6 @@ def fold_factors(
     ]
     rows = range(len(builder.unknowns.rows))
     return [[tuple(factors[f][k] for factors in log_factors) for k in rows] for f in range(count)]
-
-
-def _blocks(builder: LogProblemBuilder, logs: tuple[ProcessedLog, ...]) -> Iterator[RowBlock]:
-    """Dense rows W, b; those of joints that move too slowly are zero."""
-    for log in logs:
-        yield from builder.blocks(log)
 
 
 def regressor_blocks(builder: LogProblemBuilder, motion: Trajectory) -> Iterator[Array]:

@@ -74,28 +74,17 @@ def process_log(
         raise UsageError(f"{log.source}: {error}") from error
     # Dependent joints follow from the filtered independent ones: the closure is nonlinear.
     motion = robot.completed(processed.recording.motion)
-    return ProcessedLog(
-        read,
-        robot,
-        replace(processed.recording, q=motion.q, v=motion.v, a=motion.a),
-        _motors(read, preprocessing, training),
-        processed.rows,
-    )
-
-
-def _motors(log: Log, preprocessing: LogProcessing, training: bool) -> Trajectory | None:
-    """Motion of the motors, filtered like that of the joints."""
-    if log.coordinates is None or log.description.transmission is None:
-        return None
-    joints = tuple(
-        Joint(name, "hinge", k, k, (name,)) for k, name in enumerate(log.description.joints)
-    )
-    motion = preprocessing.signals(log.coordinates, joints, training).recording.motion
-    # q = G q_motor, and G is constant: rates transform alike.
-    q, v, a = np.linalg.solve(
-        log.description.transmission, np.stack([motion.q.T, motion.v.T, motion.a.T])
-    ).swapaxes(1, 2)
-    return replace(motion, q=q, v=v, a=a)
+    recording = replace(processed.recording, q=motion.q, v=motion.v, a=motion.a)
+    motors = None
+    if read.coordinates is not None and log.transmission is not None:
+        # Motors are filtered like joints. q = G q_motor, and G is constant: rates transform alike.
+        joints = tuple(Joint(name, "hinge", k, k, (name,)) for k, name in enumerate(log.joints))
+        moved = preprocessing.signals(read.coordinates, joints, training).recording.motion
+        q, v, a = np.linalg.solve(
+            log.transmission, np.stack([moved.q.T, moved.v.T, moved.a.T])
+        ).swapaxes(1, 2)
+        motors = replace(moved, q=q, v=v, a=a)
+    return ProcessedLog(read, robot, recording, motors, processed.rows)
 
 
 def payload_of(log: LogDescription) -> Payload:
@@ -126,19 +115,14 @@ def lock_manifest(
     for the motion of a base that would not be used.
     """
     first = logs[0]
-    _validate_names(robot, first)
+    recorded = set(first.joints) - {NO_JOINT}
+    scalar = {joint.dofs[0] for joint in robot.joints if joint.kind in SCALAR}
+    unknown = [name for name in first.joints if name not in {*scalar, NO_JOINT}]
+    if unknown:
+        advice = f"Write {NO_JOINT!r} for a coordinate that is not a joint of the model."
+        raise UsageError(f"{first.source}: {unknown_name('joint', unknown[0], scalar, advice)}")
     for log in logs:
-        if _recorded_joints(log) != _recorded_joints(first):
-            raise UsageError(
-                f"{log.source} lists other joints than {first.source}; logs that are used together "
-                "have to move the same ones."
-            )
-        if dict(log.locked or {}) != dict(first.locked or {}):
-            raise UsageError(
-                f"{log.source} locks joints elsewhere than {first.source}; identify them apart."
-            )
-        _validate_base(log, first, takes_base)
-    recorded = _recorded_joints(first)
+        _check_alike(log, first, takes_base)
     moving = recorded | _followers(robot, recorded, first)
     still = {
         # A hinge or slide rests where the zero configuration of the model has it; other kinds are
@@ -157,21 +141,18 @@ def lock_manifest(
     return replace(manifest, locked={**manifest.locked, **still, **(first.locked or {})})
 
 
-def _recorded_joints(log: LogDescription) -> set[str]:
-    return set(log.joints) - {NO_JOINT}
-
-
-def _validate_names(robot: RobotModel, log: LogDescription) -> None:
-    """Raise UsageError for a recorded joint that is not a hinge or slide of the robot."""
-    scalar = {joint.dofs[0] for joint in robot.joints if joint.kind in SCALAR}
-    unknown = [name for name in log.joints if name not in {*scalar, NO_JOINT}]
-    if unknown:
-        advice = f"Write {NO_JOINT!r} for a coordinate that is not a joint of the model."
-        raise UsageError(f"{log.source}: {unknown_name('joint', unknown[0], scalar, advice)}")
-
-
-def _validate_base(log: LogDescription, first: LogDescription, takes_base: bool) -> None:
-    """Raise UsageError for the motion of a base that is not used, or is not in all logs."""
+def _check_alike(log: LogDescription, first: LogDescription, takes_base: bool) -> None:
+    """Raise UsageError for a log with other joints or locked ones than the first, for the motion of
+    a base that is not used, and for one that is not in all logs."""
+    if set(log.joints) - {NO_JOINT} != set(first.joints) - {NO_JOINT}:
+        raise UsageError(
+            f"{log.source} lists other joints than {first.source}; logs that are used together "
+            "have to move the same ones."
+        )
+    if dict(log.locked or {}) != dict(first.locked or {}):
+        raise UsageError(
+            f"{log.source} locks joints elsewhere than {first.source}; identify them apart."
+        )
     if log.base is not None and not takes_base:
         raise UsageError(
             f"{log.source}: the recorded motion of a base is used by `identify --task actuators` "

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
+from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
@@ -50,25 +50,16 @@ def repetition_torque(
     """Return the training torque (N, rows) at the state nearest to each test sample; None where the
     test motion is another one, or has another payload."""
     matches = [_nearest(log, test) for log in training if log.payload == test.payload]
-    match = min(matches, key=attrgetter("distance"), default=None)
-    if match is None or match.distance >= REPEATS:
+    distance, tau = min(matches, key=itemgetter(0), default=(np.inf, None))
+    # Rows may be those of the wrench of a sensor.
+    if tau is None or distance >= REPEATS or not set(rows) <= set(test.robot.torque_rows):
         return None
-    if not set(rows) <= set(test.robot.torque_rows):
-        return None  # the wrench of a sensor
-    return np.asarray(match.tau[:, [test.robot.torque_rows.index(row) for row in rows]])
+    return np.asarray(tau[:, [test.robot.torque_rows.index(row) for row in rows]])
 
 
-@dataclass(frozen=True, eq=False)
-class _Match:
-    """Median distance of the states of a test log from the nearest ones of a training log, and the
+def _nearest(one: ProcessedLog, other: ProcessedLog) -> tuple[float, Array]:
+    """Median distance of the states (q, v) of another log from the nearest ones of a log, and the
     torque (N, n) of the latter."""
-
-    distance: float
-    tau: Array
-
-
-def _nearest(one: ProcessedLog, other: ProcessedLog) -> _Match:
-    """The states (q, v) of one log that are nearest to those of another."""
     from scipy.spatial import cKDTree
 
     # rad, m and rad/s have no common norm: each coordinate is in units of its deviation.
@@ -83,7 +74,7 @@ def _nearest(one: ProcessedLog, other: ProcessedLog) -> _Match:
     tree: cKDTree = cKDTree(states(one))
     distance, near = tree.query(states(other))
     # Per coordinate, so that the threshold does not depend on the number of joints.
-    return _Match(float(np.median(distance / np.sqrt(moves.sum()))), one.recording.tau[near])
+    return float(np.median(distance / np.sqrt(moves.sum()))), one.recording.tau[near]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +112,13 @@ class RecordedSource:
             margins = margins.with_motion(limit_margins(log.recording.motion, log.robot))
             name = log.log.description.source.name
             findings += [f"{name}: {finding.text}" for finding in log.log.findings]
+        selection: Row = {"chosen": "", "error_before": None, "error_after": None}
+        if self.selection is not None:
+            selection = {
+                "chosen": " ".join(name for name, _ in self.selection.added),
+                "error_before": self.selection.error_before,
+                "error_after": self.selection.error_after,
+            }
         return limit_fields(margins) | {
             "log": {
                 "filter": preprocessing.filter,
@@ -129,7 +127,7 @@ class RecordedSource:
                 "seconds": sum(float(np.ptp(log.recording.t)) for log in self.training),
                 "prior": self.prior.text,
                 "findings": "; ".join(dict.fromkeys(findings)),
-                **_selection_fields(self.selection),
+                **selection,
             }
         }
 
@@ -174,17 +172,6 @@ class RecordedSource:
         return {"mass": float(problem.base.embed(beta)[index])}
 
 
-def _selection_fields(selection: TermSelection | None) -> Row:
-    """Fields of the selection of terms; empty values where none was asked for."""
-    if selection is None:
-        return {"chosen": "", "error_before": None, "error_after": None}
-    return {
-        "chosen": " ".join(name for name, _ in selection.added),
-        "error_before": selection.error_before,
-        "error_after": selection.error_after,
-    }
-
-
 @dataclass(frozen=True, eq=False)
 class LogTorque:
     """Times (N,), measured and predicted torque (N, rows) of a log at the rows of its problem."""
@@ -202,45 +189,26 @@ def predict_log(
 
     Raises UsageError for the name of another log.
     """
-    problem, log = _log_named(prepared, test)
+    if test is not None and test not in prepared.held_out:
+        known = ", ".join(prepared.held_out) or "none"
+        raise UsageError(f"Unknown test log {test!r} in this cell; there are: {known}.")
+    label = test or next(iter(prepared.held_out), None)
+    problem, log = prepared.problem, prepared.source.training[0]
+    if label is not None:
+        problem, log = prepared.held_out[label], prepared.source.tests[label]
     measured, predicted = predict_torque(problem, beta)
     t = log.recording.t[:: log.rows.step]
     return LogTorque(t, measured[: len(t)], predicted[: len(t)], problem)
 
 
-def _log_named(
-    prepared: ExperimentData[RecordedSource], test: str | None
-) -> tuple[Problem, ProcessedLog]:
-    """The problem of a test log, and the log itself."""
-    if test is not None and test not in prepared.held_out:
-        known = ", ".join(prepared.held_out) or "none"
-        raise UsageError(f"Unknown test log {test!r} in this cell; there are: {known}.")
-    label = test or next(iter(prepared.held_out), None)
-    if label is None:
-        return prepared.problem, prepared.source.training[0]
-    return prepared.held_out[label], prepared.source.tests[label]
-
-
 def _parameter_table(estimate: Estimate, problem: Problem) -> list[Row]:
     """The estimated base parameters, each with the sum of parameters that it stands for."""
-    beta = base_parameters(estimate)
+    beta, base = base_parameters(estimate), problem.base
     if beta is None:
         return []
-    verdict = parameter_verdict(problem.base)
-    rows = []
-    for j, value, terms in zip(
-        problem.base.pivots.tolist(), beta, base_expressions(problem.base), strict=True
-    ):
+    verdict, rows = parameter_verdict(base), []
+    for j, value, terms in zip(base.pivots.tolist(), beta, base_expressions(base), strict=True):
         body, _, name = problem.parameters[j].rpartition(".")
-        rows.append(
-            {
-                "body": body,
-                "name": name,
-                "true": None,
-                "estimate": float(value),
-                "std": None,
-                "identifiable": verdict[j],
-                "expression": expression(terms),
-            }
-        )
+        row = {"body": body, "name": name, "true": None, "estimate": float(value), "std": None}
+        rows.append(row | {"identifiable": verdict[j], "expression": expression(terms)})
     return rows

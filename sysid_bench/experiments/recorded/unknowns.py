@@ -19,6 +19,7 @@ from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.tasks.task import (
     Task,
     TaskDefinition,
+    columns_of,
     find_task,
     unknown_bodies,
     words_of_features,
@@ -73,7 +74,7 @@ class Unknowns:
     @property
     def payload_parameters(self) -> tuple[str, ...]:
         """Names of the payload's ten parameters, or none."""
-        return _columns(self._payload)
+        return columns_of(self._payload)
 
     def rigid_bodies(self, log: ProcessedLog) -> tuple[RobotModel, tuple[str, ...]]:
         """The robot of a log, with those unknowns that its regressor has columns for."""
@@ -96,32 +97,24 @@ class Unknowns:
     @property
     def parameters(self) -> tuple[str, ...]:
         """All unknowns (p,)."""
-        return (
-            self.robot_parameters
-            + self.payload_parameters
-            + self._motor_names
-            + self._extra_parameters
-        )
+        return self._rigid_parameters + self._extra_parameters
+
+    @property
+    def _rigid_parameters(self) -> tuple[str, ...]:
+        return self.robot_parameters + self.payload_parameters + self._motor_names
 
     def base(self) -> BaseMap:
         """The base parameters."""
-        base = base_map(
-            self._structural_factor(),
-            self.robot_parameters + self.payload_parameters + self._motor_names,
-        )
+        base = base_map(self._structural_factor(), self._rigid_parameters)
         if not self._extra_parameters:
             return base
         r, p, k = base.rank, len(base.parameters), len(self._extra_parameters)
         # [[K, 0], [0, I]]: each extra parameter is independent of the rigid bodies.
         K = np.zeros((r + k, p + k))
         K[:r, :p], K[r:, p:] = base.K, np.eye(k)
+        pivots = np.append(base.pivots, np.arange(p, p + k))
         return replace(
-            base,
-            K=K,
-            pivots=np.append(base.pivots, np.arange(p, p + k)),
-            parameters=self.parameters,
-            row_space=None,
-            dropped=None,
+            base, K=K, pivots=pivots, parameters=self.parameters, row_space=None, dropped=None
         )
 
     @property
@@ -155,24 +148,20 @@ class Unknowns:
         robot, load = self.robot_parameters, self.payload_parameters
         if self.sub_tree is not None:
             return structural_factor(self.robot, robot, self.rows, self.sub_tree.cuts)
-        R = structural_factor(self.robot, robot, self.rows, appended=self._motor_terms(self.robot))
+
+        def motors(model: RobotModel) -> Callable[[Trajectory], Array] | None:
+            if not self._motor_names or self.features is None:
+                return None
+            return partial(self.features.on_rows, model, self.rows, self._motor_names)
+
+        R = structural_factor(self.robot, robot, self.rows, appended=motors(self.robot))
         if self.loaded is None:
             return R
-        motors = self._motor_terms(self.loaded)
-        R_loaded = structural_factor(self.loaded, robot + load, self.rows, appended=motors)
+        appended = motors(self.loaded)
+        R_loaded = structural_factor(self.loaded, robot + load, self.rows, appended=appended)
         # Both robots together: the payload is what makes the difference between their rows.
         m, zeros = len(robot), np.zeros((len(R), len(load)))
         return qr_factor([np.hstack([R[:, :m], zeros, R[:, m:]]), R_loaded])
-
-    def _motor_terms(self, robot: RobotModel) -> Callable[[Trajectory], Array] | None:
-        if not self._motor_names or self.features is None:
-            return None
-        return partial(self.features.on_rows, robot, self.rows, self._motor_names)
-
-
-def _columns(bodies: Sequence[Body]) -> tuple[str, ...]:
-    """Names of the ten parameters of each body."""
-    return tuple(column for body in bodies for column in body.columns)
 
 
 def unknowns_of(
@@ -189,7 +178,14 @@ def unknowns_of(
     not fit the task.
     """
     definition = find_task(task)
-    _validate_task(definition, position_given)
+    if not definition.supports_recordings:
+        served = [name for name in known("task") if find_task(name).supports_recordings]
+        raise UnsupportedError(
+            f"The task {definition.name!r} needs a robot with known parameters; recordings support "
+            f"{' and '.join(map(repr, served))}."
+        )
+    if position_given and not definition.identifies_payload:
+        raise UsageError("A given position needs a task that identifies the payload: 'payload'.")
     if definition.measures_sensor_only:
         return _sensor_unknowns(definition, terms, training, sensor)
     if sensor is not None:
@@ -197,31 +193,27 @@ def unknowns_of(
             f"The task {task!r} of a recording uses the torques of joints; the sensor {sensor!r} "
             "needs --task wrench."
         )
-    _check_torques(definition, training)
-    unloaded, loaded = _robots(definition, training)
-    words = words_of_features(terms, unloaded)
-    unknowns = Unknowns(
-        unloaded,
-        loaded,
-        _columns(unknown_bodies(unloaded)),
-        unloaded.term_columns(tuple(term for term in terms if term not in words)),
-        training[0].log.joints,
-        words=words,
-        extra=(MASS,) if position_given else (),
-        given=position_given,
-    )
-    return _with_features(unknowns, training) if words else unknowns
-
-
-def _check_torques(task: TaskDefinition, training: Sequence[ProcessedLog]) -> None:
-    """Raise UsageError for a log without torques."""
     for log in training:
         if not log.log.description.has_torque:
             raise UsageError(
-                f"{log.log.description.source} has no torques, which the task {task.name!r} needs: "
-                "write tau = { columns = [...] }, or identify what is distal to the sensor with "
-                "--task wrench."
+                f"{log.log.description.source} has no torques, which the task {definition.name!r} "
+                "needs: write tau = { columns = [...] }, or identify what is distal to the sensor "
+                "with --task wrench."
             )
+    robot, loaded = _robots(definition, training)
+    rows, words = training[0].log.joints, words_of_features(terms, robot)
+    inertial = columns_of(unknown_bodies(robot))
+    columns = robot.term_columns(tuple(term for term in terms if term not in words))
+    extra: tuple[str, ...] = (MASS,) if position_given else ()
+    features = None
+    if words:  # features, and terms of motors
+        features = extra_columns(robot, rows, words, training)
+        of_motors = () if features.motors is None else features.motors.columns
+        extra += (*columns_of_features(words, rows, plugin_folder(robot)), *of_motors)
+    return Unknowns(
+        robot, loaded, inertial, columns, rows,
+        features=features, words=words, extra=extra, given=position_given,
+    )  # fmt: skip
 
 
 def _sensor_unknowns(
@@ -242,7 +234,7 @@ def _sensor_unknowns(
     return Unknowns(
         robot,
         None,
-        tuple(column for body in posed.bodies for column in body.columns),
+        columns_of(posed.bodies),
         posed.parameters[10 * len(posed.bodies) :],
         posed.rows or (),
         sub_tree=posed,
@@ -259,28 +251,6 @@ def check_wrench(logs: Iterable[ProcessedLog], cuts: Sequence[SensorSubtree]) ->
                 f"{', '.join(recorded) or 'none'}): write wrench = {{ columns = [...], sensor = "
                 f"{cut.name!r} }}."
             )
-
-
-def _with_features(unknowns: Unknowns, training: Sequence[ProcessedLog]) -> Unknowns:
-    """The unknowns with the named features, and terms of motors."""
-    robot, rows, words = unknowns.robot, unknowns.rows, unknowns.words
-    features = extra_columns(robot, rows, words, training)
-    of_motors = () if features.motors is None else features.motors.columns
-    named = columns_of_features(words, rows, plugin_folder(robot))
-    return replace(unknowns, features=features, extra=(*unknowns.extra, *named, *of_motors))
-
-
-def _validate_task(task: TaskDefinition, position_given: bool) -> None:
-    """Raise UnsupportedError for a task that recordings do not support, UsageError for a position
-    without an unknown payload."""
-    if not task.supports_recordings:
-        served = [name for name in known("task") if find_task(name).supports_recordings]
-        raise UnsupportedError(
-            f"The task {task.name!r} needs a robot with known parameters; recordings support "
-            f"{' and '.join(map(repr, served))}."
-        )
-    if position_given and not task.identifies_payload:
-        raise UsageError("A given position needs a task that identifies the payload: 'payload'.")
 
 
 def _robots(

@@ -21,9 +21,9 @@ import numpy as np
 from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.excitation.limit_margins import Margins, check_limits, limit_margins
-from sysid_bench.excitation.limit_settings import checks_limits, without_limits
 from sysid_bench.excitation.motion_check import check_motion
 from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.experiments.spec import checks_limits, without_limits
 from sysid_bench.input_files import read_data
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.version_fields import package_hash
@@ -99,15 +99,11 @@ def _content(value: Any) -> Iterator[bytes]:
     """The content of a dataclass or a plain value; that of a function is empty."""
     if is_dataclass(value):
         for field in fields(value):
-            yield from _field(value, field.name)
+            if not (isinstance(value, DesignProblem) and field.name == "rate"):
+                yield field.name.encode()
+                yield from _typed(getattr(value, field.name))
     elif not callable(value):
         yield repr(value).encode()
-
-
-def _field(value: Any, name: str) -> Iterator[bytes]:
-    if not (isinstance(value, DesignProblem) and name == "rate"):
-        yield name.encode()
-        yield from _typed(getattr(value, name))
 
 
 @_content.register

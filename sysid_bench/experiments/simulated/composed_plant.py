@@ -7,8 +7,8 @@ from typing import Any, Final
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.spec import SEALED, ExperimentSpec, check_seed_hash
 from sysid_bench.plugin_names import plugin_fields
-from sysid_bench.simulation.size import is_random, random_limits
-from sysid_bench.units import parse_quantity
+from sysid_bench.simulation.size import is_random
+from sysid_bench.units import parse_quantity, quantity
 
 COMPOSED: Final = "composed"
 """Name of a plant that lists its parts."""
@@ -17,6 +17,9 @@ KIND_OF: Final[Mapping[str, str]] = {
     "effects": "plant", "errors": "model_error", "sensors": "sensor_error",
 }  # fmt: skip
 """Kind of plug-in by the list of a composed plant."""
+
+ENCODERS: Final = ("q", "quantum")
+"""Keys of a [noise] table that disturb positions."""
 
 
 @dataclass(frozen=True)
@@ -38,41 +41,18 @@ class PlantEntry:
         """Part of the seed of its draws: neither its sizes nor other entries change them."""
         return self.group, str(self.spec["use"]), self.before
 
-    @property
-    def random_settings(self) -> dict[str, Mapping[str, Any]]:
-        """The settings that are drawn, { from = ..., to = ... }."""
-        return {key: value for key, value in self.spec.items() if is_random(value)}
 
-
-@dataclass(frozen=True)
-class ComposedPlant:
-    """Entries of a plant in the order of the specification."""
-
-    entries: tuple[PlantEntry, ...]
-
-    def of(self, group: str) -> tuple[PlantEntry, ...]:
-        """The entries of one list: "effects", "errors" or "sensors"."""
-        return tuple(entry for entry in self.entries if entry.group == group)
-
-    @property
-    def has_random_signals(self) -> bool:
-        """True where repeats of exact signals may differ: their sensors have errors."""
-        return bool(self.of("sensors"))
-
-
-def composed_plant(plant: Mapping[str, Any]) -> ComposedPlant:
-    """The entries of a plant as a suite writes it; a plain one is its only effect.
-
-    Raises UsageError for unknown keys and for entries without a name.
-    """
+def composed_plant(plant: Mapping[str, Any]) -> tuple[PlantEntry, ...]:
+    """The entries of a plant as a suite writes it: effects, errors, sensors; a plain plant is its
+    only effect. Raises UsageError for unknown keys and for entries without a name."""
     if plant.get("use") != COMPOSED:
-        return ComposedPlant((PlantEntry("effects", plant, 0),))
+        return (PlantEntry("effects", plant, 0),)
     for key in plant:
         if key not in ("use", "name", "label", SEALED, *KIND_OF):
             raise unknown_name("key of a composed plant", key, ("name", "label", SEALED, *KIND_OF))
     if SEALED in plant:
         check_seed_hash(plant[SEALED])
-    return ComposedPlant(tuple(entry for group in KIND_OF for entry in _entries(plant, group)))
+    return tuple(entry for group in KIND_OF for entry in _entries(plant, group))
 
 
 def _entries(plant: Mapping[str, Any], group: str) -> Iterator[PlantEntry]:
@@ -92,7 +72,7 @@ def _entries(plant: Mapping[str, Any], group: str) -> Iterator[PlantEntry]:
 
 def plant_entries(plant: Mapping[str, Any]) -> tuple[tuple[str, Mapping[str, Any]], ...]:
     """(kind, {use, settings}) of every plug-in of a plant."""
-    return tuple((entry.kind, entry.spec) for entry in composed_plant(plant).entries)
+    return tuple((entry.kind, entry.spec) for entry in composed_plant(plant))
 
 
 def plant_name(plant: Mapping[str, Any]) -> str:
@@ -117,49 +97,53 @@ def size_limits(spec: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
                 f"{what}: a drawn size has the keys 'from' and 'to', as "
                 f"{{ from = 0, to = 1 }}; got {sorted(value)}."
             )
-        _check_order(what, value)
-    ends = ({key: value[end] for key, value in ranges.items()} for end in ("from", "to"))
-    return tuple({**spec, **end} for end in ends)
+        ends = value["from"], value["to"]
+        if all(isinstance(end, (int, float, str)) for end in ends):
+            (low, unit), (high, other) = (parse_quantity(str(end)) for end in ends)
+            # Limits in two units are compared where the unit of the setting is known.
+            if unit == other and low > high:
+                raise UsageError(
+                    f"{what}: the range from {ends[0]} to {ends[1]} ends below its begin."
+                )
+    return tuple(
+        {**spec, **{key: value[end] for key, value in ranges.items()}} for end in ("from", "to")
+    )
 
 
-def _check_order(what: str, written: Mapping[str, Any]) -> None:
-    """Raise UsageError for numbers of one unit in the wrong order; others wait for the plug-in."""
-    ends = [written[key] for key in ("from", "to")]
-    if not all(isinstance(end, (int, float, str)) for end in ends):
-        return
-    (low, unit), (high, other) = (parse_quantity(str(end)) for end in ends)
-    if unit == other and low > high:
-        raise UsageError(f"{what}: the range from {ends[0]} to {ends[1]} ends below its begin.")
-
-
-def check_limits(entry: PlantEntry, make: Any) -> dict[str, tuple[float, float]]:
-    """(low, high) of each drawn setting in SI units; `make` is the plug-in's class.
-
-    Raises UsageError for a range that ends below its beginning.
-    """
-    fields = plugin_fields(make)
-    limits = {}
-    for key, written in entry.random_settings.items():
+def random_limits(entry: PlantEntry, make: Any) -> dict[str, tuple[float, float]]:
+    """(low, high) of each drawn setting in SI units; `make` is the plug-in's class. Raises
+    UsageError for a range that is incomplete or ends below its beginning."""
+    size_limits(entry.spec)
+    fields, limits = plugin_fields(make), {}
+    for key, written in entry.spec.items():
+        if not is_random(written):
+            continue
         unit = fields[key].unit if key in fields else None
+        what = f"{entry.kind} {entry.spec['use']!r}, {key}"
         try:
-            limits[key] = random_limits(written, unit)
+            low, high = (quantity(written[end], unit or "1") for end in ("from", "to"))
         except UsageError as error:
-            raise UsageError(f"{entry.kind} {entry.spec['use']!r}, {key}: {error}") from error
+            raise UsageError(f"{what}: {error}") from error
+        if low > high:
+            raise UsageError(
+                f"{what}: The range from {written['from']} to {written['to']} ends below its start."
+            )
+        limits[key] = low, high
     return limits
 
 
-ENCODERS: Final = ("q", "quantum")
-"""Keys of a [noise] table that disturb positions."""
-
-
 def has_exact_motion(spec: ExperimentSpec) -> bool:
-    """Return True where the simulated robot moves exactly as commanded, without a controller."""
+    """True where the simulated robot moves exactly as commanded, without a controller."""
     return bool(spec.simulation["use"] == "inverse")
 
 
+def has_sensor_errors(plant: Mapping[str, Any]) -> bool:
+    """True where repeats of exact signals may differ."""
+    return any(entry.group == "sensors" for entry in composed_plant(plant))
+
+
 def has_exact_positions(spec: ExperimentSpec) -> bool:
-    """Return True for a motion that is played back and read without errors of encoders or of the
-    log: exact rates then exist, and a filter has nothing to remove from them."""
-    disturbed = any(key in spec.noise for key in ENCODERS)
-    errors = composed_plant(spec.plant).has_random_signals
-    return has_exact_motion(spec) and not disturbed and not errors
+    """True for a motion that is played back and read without errors of encoders or of the log:
+    exact rates then exist, and a filter has nothing to remove from them."""
+    disturbed = any(key in spec.noise for key in ENCODERS) or has_sensor_errors(spec.plant)
+    return has_exact_motion(spec) and not disturbed

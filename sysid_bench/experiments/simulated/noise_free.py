@@ -12,14 +12,9 @@ from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import TorqueModel, information_model
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.simulated.built_plant import (
-    MeasuredSensors,
-    built_plant,
-    sensor_offset,
-)
-from sysid_bench.experiments.simulated.estimator_model import known_model
-from sysid_bench.experiments.simulated.problem import ProblemBuilder
-from sysid_bench.experiments.simulated.record import SimulatedRobot, held_out_motions
+from sysid_bench.experiments.simulated.built_plant import built_plant
+from sysid_bench.experiments.simulated.problem import ProblemBuilder, known_model
+from sysid_bench.experiments.simulated.record import SimulatedRobot, sensor_offset
 from sysid_bench.experiments.spec import PLANT, REDRAWN, ExperimentSpec, known_seed, prior_seed
 from sysid_bench.experiments.tasks.prior import PriorSpread, prior_of, with_known_errors
 from sysid_bench.experiments.tasks.task import Task, TaskDefinition, find_task
@@ -30,15 +25,7 @@ from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.simulation.candidate import KnownModel
-from sysid_bench.types import (
-    Array,
-    BaseMap,
-    BodyExtents,
-    Oracle,
-    Prior,
-    Problem,
-    Trajectory,
-)
+from sysid_bench.types import BaseMap, BodyExtents, Prior, Problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,45 +61,31 @@ class NoiseFreePart:
     @cached_property
     def held_out(self) -> dict[str, Problem]:
         """Problems of other motions, with exact signals."""
+        oracles = self.simulated.held_out.items()
         return {
-            name: self.builder.build(*self.exact(oracle)) for name, oracle in self._oracles.items()
+            name: self.builder.build(*self.simulated.noise_free(oracle)) for name, oracle in oracles
         }
 
     @cached_property
     def held_out_moving(self) -> dict[str, Problem]:
         """The same problems without the rows of joints at standstill."""
         problems = {}
-        for name, oracle in self._oracles.items():
-            motion, measured = self.exact(oracle)
+        for name, oracle in self.simulated.held_out.items():
+            motion, measured = self.simulated.noise_free(oracle)
             rows = self.builder.rows_along(motion, MOVING)
             problems[name] = self.builder.build(motion, measured, rows=rows)
         return problems
 
-    @cached_property
-    def _oracles(self) -> dict[str, Oracle]:
-        return held_out_motions(self.spec, self.simulated)
-
-    def exact(self, oracle: Oracle) -> tuple[Trajectory, Array]:
-        """Motion as the model counts it, and noise-free torques and wrenches (N, n + 6 sensors)."""
-        return MeasuredSensors(self.spec, self.simulated.built, self.task).noise_free(oracle)
-
 
 def noise_free_part(spec: ExperimentSpec, loaded: LoadedRobot) -> NoiseFreePart:
     """The noise-free part of a specification, made once for all specifications that share it."""
-    return _shared_part(canonical(_without_noise(spec, loaded).to_json()), loaded)
-
-
-def _without_noise(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentSpec:
-    """The fields of a specification that its noise-free part depends on.
-
-    The constants of a force/torque sensor are among its errors, and are unknowns of a sensor task:
-    there nothing can be left out.
-    """
-    if find_task(spec.task, loaded.folder).measures_sensor_only:
-        return spec
-    redrawn = PLANT in spec.redrawn or (not isinstance(spec.prior, str) and spec.prior.get(REDRAWN))
-    repeat = spec.repeat if redrawn else 0
-    return replace(spec, noise={}, signals={}, pipeline=None, repeat=repeat)
+    # The constants of a force/torque sensor are among its errors, and are unknowns of a sensor
+    # task: there nothing can be left out.
+    if not find_task(spec.task, loaded.folder).measures_sensor_only:
+        random_prior = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
+        repeat = spec.repeat if PLANT in spec.redrawn or random_prior else 0
+        spec = replace(spec, noise={}, signals={}, pipeline=None, repeat=repeat)
+    return _shared_part(canonical(spec.to_json()), loaded)
 
 
 @lru_cache(maxsize=2)
@@ -121,9 +94,9 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     spec, robot = ExperimentSpec.from_json(json.loads(text)), loaded.robot
     definition = find_task(spec.task, loaded.folder)
     terms = unknown_terms(spec, robot, definition)
-    exact_task = definition.unknowns(robot, terms, spec.sensor, partial(sensor_offset, spec))
-    share = 0.0 if isinstance(spec.prior, str) else spec.prior.get("known", 0.0)
-    task = exact_task
+    task = definition.unknowns(robot, terms, spec.sensor, partial(sensor_offset, spec))
+    written = {} if isinstance(spec.prior, str) else dict(spec.prior)
+    share = written.pop("known", 0.0)
     if share != 0.0:  # the known parts have errors, too
         task = with_known_errors(task, share, np.random.default_rng(known_seed(spec)))
     # Base parameters depend on structure alone: no motion, noise or true value is involved.
@@ -131,10 +104,14 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     instruments = instruments_of(robot, task.cuts)
     regression = measured_regression(robot, base.names, instruments, task.rows)
     builder = ProblemBuilder(robot, task, base, regression)
-    built = built_plant(spec, loaded, robot)
-    prior = _prior(spec, task)
+    built, prior = built_plant(spec, loaded, robot), None
+    if spec.prior != "none":  # drawn around the truth, or the truth itself
+        written.pop(REDRAWN, None)
+        spread = None if isinstance(spec.prior, str) else PriorSpread(**written)
+        prior = prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
     design = partial(_design_problem, robot, task, base, prior)
-    return NoiseFreePart(spec, task, builder, SimulatedRobot(spec, loaded, built, design), prior)
+    simulated = SimulatedRobot(spec, loaded, built, task, design)
+    return NoiseFreePart(spec, task, builder, simulated, prior)
 
 
 def unknown_terms(spec: ExperimentSpec, robot: RobotModel, task: TaskDefinition) -> tuple[str, ...]:
@@ -146,33 +123,19 @@ def _design_problem(
     robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float
 ) -> DesignProblem:
     """Inputs of excitation design at `rate` (Hz): limits, regressor, and torques by the prior."""
+    torque = None
     # A task with sensors has no prior of the bodies before them: torques cannot be predicted.
-    torque = None if prior is None or task.cuts else _torque_model(robot, task, prior)
+    if prior is not None and not task.cuts:
+        # Designs hold ball and free joints, whose terms have no columns.
+        terms = {
+            f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
+            for term, values in task.known_terms.items()
+            for dof in robot.scalar_dofs
+            if values[dof]
+        }
+        regression = torque_regression(robot, (*task.parameters, *terms))
+        theta = np.array([*prior.theta, *terms.values()])
+        torque = TorqueModel(regression, theta, task.known_links, robot.tree, robot.coupling)
     information = information_model(robot, base.names, task.rows, task.cuts)
     scene = partial(collision_model, robot)
     return replace(design_problem(robot, rate), regress=information, torque=torque, scene=scene)
-
-
-def _torque_model(robot: RobotModel, task: Task, prior: Prior) -> TorqueModel:
-    """Torque by the prior parameters and the known parts, for limits of torque."""
-    # Designs hold ball and free joints, whose terms have no columns.
-    terms = {
-        f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
-        for term, values in task.known_terms.items()
-        for dof in robot.scalar_dofs
-        if values[dof]
-    }
-    regression = torque_regression(robot, (*task.parameters, *terms))
-    theta = np.array([*prior.theta, *terms.values()])
-    return TorqueModel(regression, theta, task.known_links, robot.tree, robot.coupling)
-
-
-def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
-    """The prior of the unknowns: drawn around the truth, the truth itself, or None."""
-    if spec.prior == "none":
-        return None
-    spread = None
-    if not isinstance(spec.prior, str):
-        own = {k: x for k, x in spec.prior.items() if k not in (REDRAWN, "known")}
-        spread = PriorSpread(**own)
-    return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))

@@ -2,26 +2,18 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.excitation.limit_margins import Margins
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.processed_rows import sampled_motion
-from sysid_bench.experiments.simulated.built_plant import (
-    BuiltPlant,
-    EncoderModel,
-    MeasuredSensors,
-    SampledSignals,
-    run_with_encoder_errors,
-)
+from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.simulated.commanded import CommandedMotion, commanded_motion
-from sysid_bench.experiments.simulated.problem import ProblemBuilder, regressor_blocks
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
     drift_seed,
@@ -29,23 +21,27 @@ from sysid_bench.experiments.spec import (
     motion_seed,
     noise_seed,
     run_seed,
+    seed_of,
+    sensor_seed,
 )
 from sysid_bench.experiments.tasks.task import Task
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import end_body
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
-from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.sensors import Noise, measured_recording, noise_samples
-from sysid_bench.simulation.wrench_sensors import WRENCH_NOISE
+from sysid_bench.simulation import sensors, wrench_sensors
+from sysid_bench.simulation.inverse import Inverse, joint_positions
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedRobot:
-    """A plant that moves along an excitation."""
+    """A plant that moves along an excitation, with the sensors of a task."""
 
     spec: ExperimentSpec
     loaded: LoadedRobot
     built: BuiltPlant
+    task: Task
     design_problem: Callable[[float], DesignProblem]  # of the model, at a rate (Hz)
     motion: int = 0  # index of the training motion
 
@@ -55,16 +51,21 @@ class SimulatedRobot:
         return self.loaded.build_plugin("simulation", self.spec.simulation)
 
     @property
+    def _rate(self) -> float:
+        """Rate of the simulation (Hz)."""
+        rate: float = self.simulation.design_rate(self.spec.rate)
+        return rate
+
+    @property
     def step_ratio(self) -> int:
         """Steps of the simulation per sample of the recording."""
-        rate: float = self.simulation.design_rate(self.spec.rate)
-        return round(rate / self.spec.rate)
+        return round(self._rate / self.spec.rate)
 
     @cached_property
     def _training(self) -> CommandedMotion:
         """The training motion at the rate of the simulation, with its margins to the limits."""
-        rate = self.simulation.design_rate(self.spec.rate)
-        return self._checked(self.spec.excitation, rate, motion_seed(self.spec, self.motion))
+        seed = motion_seed(self.spec, self.motion)
+        return self._checked(self.spec.excitation, self._rate, seed)
 
     @property
     def commanded(self) -> Trajectory:
@@ -89,10 +90,8 @@ class SimulatedRobot:
         return margins
 
     def _other(self, excitation: Mapping[str, Any], seed: int) -> CommandedMotion:
-        rate = self.spec.rate
-        if self.built.plant.transmission is not None:
-            rate = self.simulation.design_rate(rate)
-        return self._checked(excitation, rate, seed)
+        elastic = self.built.plant.transmission is not None
+        return self._checked(excitation, self._rate if elastic else self.spec.rate, seed)
 
     def _checked(self, excitation: Mapping[str, Any], rate: float, seed: int) -> CommandedMotion:
         return commanded_motion(excitation, self.loaded, self.design_problem(rate), seed)
@@ -107,31 +106,54 @@ class SimulatedRobot:
 
     def along(self, excitation: Mapping[str, Any], seed: int) -> Oracle:
         """Ground truth of the plant on another motion, at the rate of the recording."""
-        return self.held_out(self._other(excitation, seed).motion)
+        return self._held_out(self._other(excitation, seed).motion)
 
-    def held_out(self, motion: Trajectory) -> Oracle:
-        """Ground truth of the plant on one of the other motions, at the rate of the recording."""
+    @cached_property
+    def held_out(self) -> dict[str, Oracle]:
+        """Ground truth of the held-out motions, by excitation, for scoring."""
+        motions: dict[str, Oracle] = {}
+        for index, excitation in enumerate(self.spec.held_out):
+            name = excitation["use"]
+            oracle = self._held_out(self.motions_held_out[index].motion)
+            motions[name if name not in motions else f"{name}-{index}"] = oracle
+        return motions
+
+    def _held_out(self, motion: Trajectory) -> Oracle:
+        # By inverse dynamics, whatever the training uses: the motion is exactly the commanded one.
         if self.built.plant.transmission is None:
-            return self._moved(Inverse(), motion, self._no_error(motion))[0]
-        oracle = self._moved(self.simulation, motion, self._no_error(motion))[0]
-        each = self.step_ratio
+            return self._moved(Inverse(), motion)[0]
+        # Links behind elastic transmissions cannot follow it, and are simulated as in training;
+        # theirs is the motion that scores are based on.
+        oracle, each = self._moved(self.simulation, motion)[0], self.step_ratio
         return Oracle(sampled_motion(oracle.motion, each), oracle.tau[::each])
 
     @cached_property
     def _undisturbed(self) -> Oracle:
-        return self._moved(self.simulation, self.commanded, self._no_error(self.commanded))[0]
+        return self._moved(self.simulation, self.commanded)[0]
 
     def _moved(
-        self, simulation: Any, motion: Trajectory, error: Array
+        self, simulation: Any, motion: Trajectory, error: Array | None = None
     ) -> tuple[Oracle, Controller | None]:
         joints = self.built.coordinates
+        if error is None:
+            error = np.zeros((len(motion), len(self.built.model.torque_dofs)))
         oracle, controller = simulation.run(
             self.built.plant, joints.to_plant(motion), joints.error_to_plant(error)
         )
         return oracle, controller
 
-    def _no_error(self, motion: Trajectory) -> Array:
-        return np.zeros((len(motion), len(self.built.model.torque_dofs)))
+    def noise_free(self, oracle: Oracle) -> tuple[Trajectory, Array]:
+        """The plant's motion as the model counts it, and the noise-free torques and wrenches (N,
+        nv + 6 sensors), with the constant offsets of the sensors where those are among the
+        unknowns."""
+        seen, task = self.built.coordinates.to_model(oracle), self.task
+        if not task.cuts:
+            return seen.motion, seen.tau
+        wrench = wrench_sensors.sensor_wrench(self.built.plant, task.cuts, oracle.motion)
+        # Constant offsets are unknowns of a task that has more than ten parameters for each body.
+        if task.definition.measures_sensor_only and len(task.parameters) > 10 * len(task.bodies):
+            wrench += task.truth.theta[10 * len(task.bodies) :]
+        return seen.motion, np.hstack([seen.tau, wrench])
 
 
 @dataclass(frozen=True)
@@ -168,7 +190,12 @@ def recordings_of(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
 
 @dataclass(frozen=True, eq=False)
 class SampledRecording:
-    """A recording before (`raw`) and after filters, and what scoring alone may know of it."""
+    """A recording before (`raw`) and after filters, and what scoring alone may know of it.
+
+    `rows` of W beta = b are still to be processed. Contact periods were the share `left_out` of
+    the samples; a filter of rows cannot cross gaps, and contacts then stay in the recording:
+    samples that are not `free` (N,) are without weight before the filter. None: all are free.
+    """
 
     raw: Recording
     recording: Recording
@@ -177,77 +204,49 @@ class SampledRecording:
     has_exact_model: bool  # neither the model nor the sensors have errors beside the noise
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
-    rows: RowProcessing = field(default_factory=RowProcessing)  # of W beta = b
+    rows: RowProcessing = field(default_factory=RowProcessing)
     margin: int = 0  # samples beside a disturbed one that a filter of positions mixes with it
-
-    def has_torque_noise(self, builder: ProblemBuilder) -> bool:
-        """True where each row is a torque with noise, and nothing else has errors."""
-        if builder.task.cuts or not self.has_exact_model:
-            return False
-        return bool((self.torque_std[list(builder.row_indices)] > 0).all())
-
-    def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
-        """The Cramer-Rao bound (r, r) of the covariance where torque alone is noisy; None where
-        a row has no noise of that kind, where the model or the sensors have other errors, or the
-        motion does not excite every direction."""
-        if not self.has_torque_noise(builder):
-            return None
-        return _bound(
-            builder, self.oracle, self.decimation, tuple(self.torque_std), self.correlation
-        )
-
-
-@lru_cache(maxsize=2)
-def _bound(
-    builder: ProblemBuilder,
-    oracle: Oracle,
-    decimation: int,
-    std: tuple[float, ...],
-    correlation: float,
-) -> Array | None:
-    motion, rows = sampled_motion(oracle.motion, decimation), builder.row_indices
-    row_std = np.array(std)[list(rows)]
-    if correlation == 0.0:
-        covariance = white_bound(builder.build(motion, oracle.tau[::decimation]), row_std)
-    else:  # whitening in time mixes samples: the blocks have to be dense
-        blocks = regressor_blocks(builder.regression, rows, builder.instruments, motion)
-        covariance = torque_bound(blocks, np.diag(row_std**2), correlation)
-    return covariance
+    left_out: float = 0.0
+    free: Array | None = None
 
 
 def record(
     spec: ExperimentSpec,
     simulated: SimulatedRobot,
-    sensors: MeasuredSensors,
     repetition: Repetition | None = None,
+    run: int = 0,
 ) -> SampledRecording:
-    """The recording of one repeat, and of one of its runs where there are several."""
+    """The recording of one repeat, and of one of its runs where there are several; force/torque
+    sensors have the same errors in each `run`, and other noise."""
     repetition = repetition or Repetition(0, True, noise_seed(spec))
-    seed, built, decimation = repetition.seed, simulated.built, simulated.step_ratio
-    noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
+    built, model = simulated.built, simulated.built.model
+    noise = sensors.Noise(
+        **{key: x for key, x in spec.noise.items() if key not in wrench_sensors.WRENCH_NOISE}
+    )
     pipeline = pipeline_of(spec.pipeline, spec.signals, simulated.loaded.folder)
-    rng, count = np.random.default_rng(seed), len(simulated.commanded)
-    samples = len(range(0, count, decimation))
-    # All draws before the run, in units of their deviation: levels of noise share the same draws.
-    draws = noise_samples(count, samples, len(built.model.torque_dofs), rng)
-    run = run_with_encoder_errors(EncoderModel(built, noise, draws), simulated.run)
+    moved, torque_draws = _moved_under_noise(simulated, noise, repetition.seed)
     # A relative level refers to the exact torque, so that the noise is independent of itself.
-    torque_std = noise.torque_std(run.seen.tau[::decimation])
-    readings = run.read(built.random_by_stage(seed), decimation)
-    torque_noise = torque_std * noise.torque_noise(draws.torque)
-    raw = _raw_recording(simulated, readings, torque_noise, run.controller, pipeline.ideal_rates)
-    drifting = _with_drift(spec, raw, repetition.index, noise.tau_drift)
-    raw = sensors.recording(drifting, run.oracle, decimation)
-    raw = built.chain.stored(raw, built.random_by_stage(seed))
-    processed = pipeline.process(raw, built.model.joints)
+    torque_std = noise.torque_std(moved.seen.tau[:: simulated.step_ratio])
+    torque_noise = torque_std * noise.torque_noise(torque_draws)
+    raw = moved.recording(simulated, repetition.seed, torque_noise, pipeline.ideal_rates)
+    if noise.tau_drift:
+        # Drift (N m/s, N/s) is common to all runs, which follow each other without a pause, so
+        # that differences of runs contain it.
+        draw = np.random.default_rng(drift_seed(spec)).normal(size=raw.tau.shape[1])
+        start = repetition.index * len(raw) / raw.rate
+        raw = replace(raw, tau=raw.tau + (raw.t + start)[:, None] * (noise.tau_drift * draw))
+    if simulated.task.cuts:
+        raw = _with_wrenches(spec, simulated, raw, moved.oracle, run)
+    raw = built.chain.stored(raw, built.random_by_stage(repetition.seed))
+    processed = pipeline.process(raw, model.joints)
     # Dependent joints are solved from the filtered independent ones: filtering each joint by itself
     # would violate the closure, which is nonlinear.
-    motion = built.model.completed(processed.recording.motion)
+    motion = model.completed(processed.recording.motion)
     return SampledRecording(
         raw=raw,
         recording=replace(processed.recording, q=motion.q, v=motion.v, a=motion.a),
-        oracle=run.seen,
-        decimation=decimation,
+        oracle=moved.seen,
+        decimation=simulated.step_ratio,
         has_exact_model=built.has_exact_model,
         torque_std=torque_std,
         correlation=noise.tau_correlation,
@@ -256,48 +255,137 @@ def record(
     )
 
 
-def _raw_recording(
-    simulated: SimulatedRobot,
-    sampled: SampledSignals,
-    torque_noise: Array,
-    controller: Controller | None,
-    ideal_rates: bool,
+@dataclass(frozen=True, eq=False)
+class _NoisyRun:
+    """A run whose loop saw the errors (N, n) of its encoders: the plant's ground truth `oracle`,
+    the same as the model counts it (`seen`), and the controller."""
+
+    noise: sensors.Noise
+    draws: Array  # (N, n), standard normal
+    oracle: Oracle
+    seen: Oracle
+    controller: Controller | None
+    error: Array
+
+    def recording(
+        self, simulated: SimulatedRobot, seed: int, torque_noise: Array, ideal_rates: bool
+    ) -> Recording:
+        """The recording after the transducers and the sampling, with torque noise (K, n)."""
+        built, every = simulated.built, simulated.step_ratio
+        chain, model, rng_of = built.chain, built.model, built.random_by_stage(seed)
+        signals, error, stride = self.seen, self.error, every
+        if chain.has(sensors.TorqueStage):
+            q = _independent_positions(model, signals.motion)
+            rms = np.sqrt((signals.tau**2).mean(axis=0))
+            exact = sensors.TorqueSignal(signals.motion.t, q, signals.tau, rms)
+            signals = replace(signals, tau=chain.torque_reading(exact, rng_of))
+        if chain.has(sensors.SamplingStage):
+            stamps, joints = signals.motion.t[::every], len(model.torque_dofs)
+            late = chain.sampling_delay(stamps, joints, rng_of)
+            signals, stride = sensors.sampled_with_delay(model, signals, every, *late), 1
+            # Encoders are read late, and then rounded: readings stay on their grid.
+            error = _encoder_error(built, self.noise, self.draws[::every], signals.motion)
+        return sensors.measured_recording(
+            model,
+            signals,
+            error,
+            torque_noise,
+            stride,
+            # Without a controller the robot moves exactly as commanded, which is the ground truth.
+            commanded=None if self.controller is None else simulated.commanded,
+            controller=self.controller,
+            ideal_rates=ideal_rates,
+        )
+
+
+def _moved_under_noise(
+    simulated: SimulatedRobot, noise: sensors.Noise, seed: int
+) -> tuple[_NoisyRun, Array]:
+    """Move the plant with a loop that sees the errors of its encoders; return the draws (K, n) of
+    the torque noise as well."""
+    built, steps = simulated.built, range(len(simulated.commanded))
+    # All draws before the run, in units of their deviation: levels of noise share the same draws.
+    rng, n = np.random.default_rng(seed), len(built.model.torque_dofs)
+    draws = rng.normal(size=(len(steps), n))
+    torque_draws = rng.normal(size=(len(steps[:: simulated.step_ratio]), n))
+
+    def seen_by_model(oracle: Oracle) -> Oracle:
+        return built.coordinates.to_model(replace(oracle, motion=oracle.measured, encoders=None))
+
+    error = sensors.position_error(noise, draws)
+    oracle, controller = simulated.run(error)
+    if noise.quantum > 0 or built.chain.has(sensors.EncoderStage):
+        # The first run gives positions, the second one runs with the loop seeing their errors. The
+        # recorded errors are those of its own positions, so that readings lie on the encoder's
+        # grid.
+        error = _encoder_error(built, noise, draws, seen_by_model(oracle).motion)
+        oracle, controller = simulated.run(error)
+        error = _encoder_error(built, noise, draws, seen_by_model(oracle).motion)
+    run = _NoisyRun(noise, draws, oracle, seen_by_model(oracle), controller, error)
+    return run, torque_draws
+
+
+def _encoder_error(
+    built: BuiltPlant, noise: sensors.Noise, draws: Array, motion: Trajectory
+) -> Array:
+    """Errors (N, n) of encoders on a motion: white noise, rounding, and those of the chain."""
+    robot, chain = built.model, built.chain
+    q = _independent_positions(robot, motion)
+    scalar = np.flatnonzero(np.isin(robot.torque_dofs, robot.scalar_dofs))
+    repeated = chain.encoder_error(q) if chain.has(sensors.EncoderStage) else None
+    return sensors.position_error(noise, draws, q, scalar, repeated)
+
+
+def _independent_positions(robot: RobotModel, motion: Trajectory) -> Array:
+    """Positions (N, n) of the joints with measured torque; zero for balls and free joints."""
+    q: Array = joint_positions(robot, motion)[:, robot.torque_dofs]
+    return q
+
+
+def _with_wrenches(
+    spec: ExperimentSpec, simulated: SimulatedRobot, raw: Recording, oracle: Oracle, run: int
 ) -> Recording:
-    """The recording of sampled signals before wrenches and the errors of its storage."""
-    return measured_recording(
-        simulated.built.model,
-        sampled.signals,
-        sampled.error,
-        torque_noise,
-        sampled.stride,
-        # Without a controller the robot moves exactly as commanded, which is the ground truth.
-        commanded=None if controller is None else simulated.commanded,
-        controller=controller,
-        ideal_rates=ideal_rates,
-    )
+    """The recording `raw` of the plant's motion with the readings of force/torque sensors.
 
-
-def _with_drift(spec: ExperimentSpec, recording: Recording, index: int, level: float) -> Recording:
-    """The recording with linear torque drift (N m/s, N/s) since the first run; runs follow each
-    other without a pause."""
-    if level == 0.0:
-        return recording
-    slope = level * np.random.default_rng(drift_seed(spec)).normal(size=recording.tau.shape[1])
-    # Drift is common to all runs, so that differences of runs contain it.
-    start = index * len(recording) / recording.rate
-    return replace(recording, tau=recording.tau + (recording.t + start)[:, None] * slope)
-
-
-def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[str, Oracle]:
-    """Ground truth of other motions of the same plant, by excitation, for scoring.
-
-    By inverse dynamics, whatever the training uses: the motion is exactly the commanded one. Links
-    behind elastic transmissions cannot follow it, and are simulated as in training; theirs is the
-    motion that scores are based on.
+    Raises UnsupportedError for a contact in a simulation that does not feel it.
     """
-    motions: dict[str, Oracle] = {}
-    for index, excitation in enumerate(spec.held_out):
-        name = excitation["use"]
-        oracle = simulated.held_out(simulated.motions_held_out[index].motion)
-        motions[name if name not in motions else f"{name}-{index}"] = oracle
-    return motions
+    cuts, plant = simulated.task.cuts, simulated.built.plant
+    noise, seed = wrench_sensors.wrench_noise(spec.noise), noise_seed(spec)
+    # A stream of its own: a sensor leaves the noise of torques and encoders as it is.
+    white = np.random.default_rng(seed_of(seed, "wrench", run))
+    motion, contact = sampled_motion(oracle.motion, simulated.step_ratio), None
+    if noise.touch:
+        if spec.simulation["use"] != "inverse":
+            raise UnsupportedError(
+                "A contact (noise.touch) needs the simulation 'inverse': it moves no robot."
+            )
+        # On the last body, during the middle third of the motion.
+        rng = np.random.default_rng(seed_of(seed, "touched", run))
+        wrench, part = wrench_sensors.random_wrench(motion, noise.touch, rng), len(motion) // 3
+        wrench[:part] = wrench[2 * part :] = 0.0
+        contact = wrench_sensors.Contact(end_body(plant.robot, cuts[0]), wrench)
+        # The motors hold the robot on its motion against the contact.
+        force = wrench_sensors.contact_torque(plant, contact, motion)
+        tau = plant.robot.reduced(motion.q, force)
+        raw = replace(raw, tau=raw.tau - simulated.built.coordinates.torque_to_model(tau))
+    exact = wrench_sensors.sensor_wrench(plant, cuts, motion, contact)
+    parts = [
+        error.read(one, raw.t) + noise.white() * white.normal(size=one.shape)
+        for error, one in zip(
+            _sensor_errors(spec, len(cuts)), np.split(exact, len(cuts), axis=1), strict=True
+        )
+    ]
+    rows = tuple(row for cut in cuts for row in cut.rows)
+    return replace(raw, wrench=np.hstack(parts), wrench_rows=rows)
+
+
+def sensor_offset(spec: ExperimentSpec, count: int) -> Array:
+    """True offsets (6 count,) [n; f] of the measured sensor and of those that end its sub-tree."""
+    return np.concatenate([error.offset for error in _sensor_errors(spec, count)])
+
+
+def _sensor_errors(spec: ExperimentSpec, count: int) -> list[wrench_sensors.SensorError]:
+    """Offset, drift, gain, crosstalk and mounting errors of each sensor of an experiment."""
+    noise = wrench_sensors.wrench_noise(spec.noise)
+    rng = np.random.default_rng(sensor_seed(spec))
+    return [wrench_sensors.sensor_error(noise, rng) for _ in range(count)]

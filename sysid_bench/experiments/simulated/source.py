@@ -1,6 +1,6 @@
 """Simulated data as a source: the ground truth, and scores of estimates against it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, Final
@@ -25,7 +25,6 @@ from sysid_bench.experiments.simulated.wrench_score import (
     ContactTest,
     contact_fields,
     contact_test,
-    rank_fields,
     sensor_excitation,
 )
 from sysid_bench.experiments.spec import SEALED, ExperimentSpec, other_motion_seed
@@ -57,55 +56,11 @@ def pseudo_true(noise_free: NoiseFreePart, rows: RowProcessing) -> Array | None:
     slow = RowProcessing(standstill=rows.standstill, weight=rows.weight)
     for index in range(MOTIONS_OF_LIMIT):
         seed = other_motion_seed(spec, index)
-        motion, measured = noise_free.exact(noise_free.simulated.along(spec.excitation, seed))
+        motion, measured = noise_free.simulated.noise_free(
+            noise_free.simulated.along(spec.excitation, seed)
+        )
         problems.append(builder.build(motion, measured, rows=builder.rows_along(motion, slow)))
     return scaled_fit(pooled(problems))[0]
-
-
-@dataclass(frozen=True, eq=False)
-class IntervalScore:
-    """Confidence intervals of `beta` (r,) by kind, and the values that they should hold."""
-
-    beta: Array
-    errors: Mapping[str, StandardError]
-    targets: TrueValues
-
-    def of_parameter(self, index: int) -> Row:
-        """Class of one parameter, and for each kind 1 where its interval holds the value."""
-        hits = {
-            f"held_{kind}": int(held(error, self.beta, self.targets.values)[index])
-            for kind, error in self.errors.items()
-        }
-        return {"class": str(self.targets.classes[index]), **hits}
-
-
-def interval_rows(
-    intervals: IntervalScore | None, prepared: ExperimentData[Any], estimate: Estimate
-) -> Row:
-    """Coverage, width and score of the intervals by class of parameters, the share of held-out
-    torque inside of prediction intervals (`torque_inside`, and by row `inside`), and the reason
-    where several motions give no interval."""
-    if intervals is None:
-        return {}
-    problem = prepared.problem
-    row: Row = interval_fields(problem, intervals.beta, intervals.errors, intervals.targets)
-    fits = motion_fit(problem, estimate)
-    if isinstance(fits, str):
-        return row | ({"no_motions_interval": fits} if problem.motions else {})
-    if prepared.held_out:
-        inside = torque_coverage(fits, prepared.held_out)
-        row |= {"torque_inside": float(np.mean(inside)), "inside": inside}
-    return row
-
-
-def with_joints(scores: Mapping[str, Any], fields: Row) -> Row:
-    """The scores and further fields, `inside` (rows,) of them among those of the joints."""
-    inside = fields.pop("inside", None)
-    if inside is None:
-        return {**scores, **fields}
-    pairs = zip(scores["joints"], inside, strict=True)
-    joints = tuple({**joint, "inside": float(share)} for joint, share in pairs)
-    return {**scores, **fields, "joints": joints}
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,29 +120,27 @@ class SimulatedSource:
         }
 
     def fields(self) -> Row:
-        """Margins to the limits, ranks behind a sensor, and sizes that were drawn for the plant,
-        unless it is sealed."""
-        ranks = {} if self.excitation is None else rank_fields(self.excitation)
-        drawn = [dict(values) for values in self.built.values]
-        margins = limit_fields(self.noise_free.simulated.margins)
-        is_shown = drawn and not self.spec.plant.get(SEALED)
-        return margins | ranks | self._simulators() | ({"plant_values": drawn} if is_shown else {})
-
-    def _simulators(self) -> Row:
-        """Steps of the plant and of candidate models, and whether they are one simulator."""
+        """Margins to the limits, ranks behind a sensor, steps of the plant and of candidate models,
+        and sizes that were drawn for the plant, unless it is sealed."""
+        row = limit_fields(self.noise_free.simulated.margins)
+        if self.excitation is not None:
+            row |= {
+                "structural_rank": self.excitation.structural,
+                "excited_rank": self.excitation.rank,
+                "unpredictable": len(self.excitation.unpredictable),
+                "unpredictable_names": ", ".join(self.excitation.unpredictable),
+            }
         simulation = self.noise_free.simulated.simulation
-        if self.step is None or not isinstance(simulation, TrackingControl):
-            return {}
-        candidate = Candidate(**(self.spec.candidate or {}))
-        return {
-            "plant_step": self.step,
-            "candidate_step": candidate.step or 1.0 / simulation.rate,
-            "same_simulator": candidate.has_steps_of(simulation, self.step),
-        }
-
-    @property
-    def _has_noise(self) -> bool:
-        return bool(self.spec.noise) or not self.built.chain.is_exact
+        if self.step is not None and isinstance(simulation, TrackingControl):
+            candidate = Candidate(**(self.spec.candidate or {}))
+            row |= {
+                "plant_step": self.step,
+                "candidate_step": candidate.step or 1.0 / simulation.rate,
+                "same_simulator": candidate.has_steps_of(simulation, self.step),
+            }
+        if self.built.values and not self.spec.plant.get(SEALED):
+            row["plant_values"] = [dict(values) for values in self.built.values]
+        return row
 
     @property
     def built(self) -> BuiltPlant:
@@ -199,6 +152,7 @@ class SimulatedSource:
     ) -> Row:
         """Scores of an estimate against the truth, and the table of its parameters."""
         problem, deviations = prepared.problem, standard_errors(prepared.problem, estimate)
+        has_noise = bool(self.spec.noise) or not self.built.chain.is_exact
         scores = score(
             estimate,
             problem,
@@ -207,99 +161,89 @@ class SimulatedSource:
             self.extents,
             about_data=prepared.figures,
             # Without noise an interval has no width, and its coverage no meaning.
-            errors=deviations if self._has_noise else None,
+            errors=deviations if has_noise else None,
             moving=prepared.held_out_moving,
         )
-        intervals = self._intervals(prepared, estimate, deviations)
-        contact = {}
+        row = dict(vars(scores))
+        beta, targets = base_parameters(estimate), None
+        if beta is not None and self.spec.noise and deviations:
+            limit = pseudo_true(self.noise_free, self.rows)
+            targets = true_values(problem, problem.base.K @ self.truth.theta, limit, HOW)
+            row |= interval_fields(problem, beta, deviations, targets)
+            row |= _prediction_fields(prepared, estimate, row["joints"])
         if self.contact_test is not None:
-            contact = contact_fields(self.contact_test.errors(problem, self.truth, estimate))
-        bounds = {"bound": self.bound, "bound_encoders": self.encoder_bound}
-        known = {name: bound for name, bound in bounds.items() if bound is not None}
-        compared = _Compared(self.truth, known, deviations, intervals)
-        table = _parameter_table(estimate, problem, compared)
-        fields = interval_rows(intervals, prepared, estimate)
-        return with_joints(vars(scores), fields) | contact | {"parameters_table": table}
+            row |= contact_fields(self.contact_test.errors(problem, self.truth, estimate))
+        table = self._parameter_table(problem, estimate, deviations, targets)
+        return row | {"parameters_table": table}
 
-    def _intervals(
+    def _parameter_table(
         self,
-        prepared: ExperimentData["SimulatedSource"],
+        problem: Problem,
         estimate: Estimate,
         deviations: Mapping[str, StandardError],
-    ) -> "IntervalScore | None":
-        """The confidence intervals and what they should hold; None without noise, where an
-        interval has no width, or without an estimate."""
-        beta, problem = base_parameters(estimate), prepared.problem
-        if beta is None or not self.spec.noise or not deviations:
-            return None
-        limit = pseudo_true(self.noise_free, self.rows)
-        targets = true_values(problem, problem.base.K @ self.truth.theta, limit, HOW)
-        return IntervalScore(beta, deviations, targets)
+        targets: TrueValues | None,
+    ) -> list[Row]:
+        """True and estimated base parameters, named by their pivots; all parameters where the
+        method claims all of them, each with its verdict, so that no claim passes for knowledge.
+
+        `std` is the first of the deviations that exist, `std_from` its kind. The pivot of a base
+        parameter has the error of that one as `base_error`, its deviation by Cramer and Rao as
+        `bound` (torque noise) and `bound_encoders` (that of encoders as well), its `class`, and
+        `held_<kind>`: 1 where the 95 % interval of a kind holds its target.
+        """
+        beta, base, theta = base_parameters(estimate), problem.base, self.truth.theta
+        if beta is None:
+            return []
+        verdict, beta_true = parameter_verdict(base), base.K @ theta
+        errors = {"base_error": beta - beta_true}
+        for name, bound in (("bound", self.bound), ("bound_encoders", self.encoder_bound)):
+            if bound is not None:
+                errors[name] = bound
+        holds = {}
+        if targets is not None:
+            holds = {
+                f"held_{kind}": held(x, beta, targets.values) for kind, x in deviations.items()
+            }
+        spreads = {f"std_{kind}": deviation.std for kind, deviation in deviations.items()}
+        kind = next(iter(deviations), None)
+        if kind is not None:
+            spreads["std"] = deviations[kind].std
+        claimed, true, found = list(range(len(verdict))), theta, estimate.theta
+        if found is None:
+            claimed, true, found = base.pivots.tolist(), base.embed(beta_true), base.embed(beta)
+        base_index = {int(column): i for i, column in enumerate(base.pivots)}
+        rows: list[Row] = []
+        for j in claimed:
+            body, _, name = problem.parameters[j].rpartition(".")
+            row = {"body": body, "name": name, "true": float(true[j]), "estimate": float(found[j])}
+            row |= {"std": None, "std_from": None, "identifiable": verdict[j]}
+            rows.append(row)
+            i = base_index.get(j)
+            if i is None:
+                continue
+            row |= {key: float(x[i]) for key, x in errors.items()}
+            if targets is not None:
+                row |= {"class": str(targets.classes[i])}
+                row |= {key: int(x[i]) for key, x in holds.items()}
+            # A base parameter has the deviation of its pivot only where the pivot stands alone.
+            if estimate.theta is None or verdict[j] == "identifiable":
+                row |= {"std_from": kind, **{key: float(x[i]) for key, x in spreads.items()}}
+        return rows
 
 
-@dataclass(frozen=True, eq=False)
-class _Compared:
-    """References of estimated parameters: true values, the Cramer-Rao bounds (r,) by row field, the
-    deviations by kind, and the intervals where they are judged."""
-
-    truth: Truth
-    bounds: Mapping[str, Array]
-    deviations: Mapping[str, StandardError]
-    intervals: IntervalScore | None
-
-
-def _parameter_table(estimate: Estimate, problem: Problem, compared: _Compared) -> list[Row]:
-    """True and estimated base parameters, named by their pivots; all parameters where the method
-    claims all of them, each with its verdict, so that no claim passes for knowledge.
-
-    `std` is the first of the deviations that exist, `std_from` its kind. The pivot of a base
-    parameter has the error of that one as `base_error`, its deviation by Cramer and Rao as `bound`
-    (torque noise) and `bound_encoders` (that of encoders as well), its `class`, and `held_<kind>`:
-    1 where the 95 % interval of a kind holds its target.
-    """
-    beta = base_parameters(estimate)
-    if beta is None:
-        return []
-    base, verdict = problem.base, parameter_verdict(problem.base)
-    truth, deviations = compared.truth, compared.deviations
-    beta_true = base.K @ truth.theta
-    errors = {"base_error": beta - beta_true, **compared.bounds}
-    intervals = compared.intervals
-    if estimate.theta is None:
-        claimed, true, found = base.pivots.tolist(), base.embed(beta_true), base.embed(beta)
-    else:
-        claimed, true, found = list(range(len(verdict))), truth.theta, estimate.theta
-    spreads = {f"std_{kind}": deviation.std for kind, deviation in deviations.items()}
-    kind = next(iter(deviations), None)
-    if kind is not None:
-        spreads["std"] = deviations[kind].std
-    base_index = {int(column): i for i, column in enumerate(base.pivots)}
-    rows: list[Row] = []
-    for j in claimed:
-        row = _parameter_row(problem.parameters[j], float(true[j]), float(found[j]), verdict[j])
-        row |= _entry(errors, base_index.get(j))
-        if intervals is not None and j in base_index:
-            row |= intervals.of_parameter(base_index[j])
-        # A deviation of a base parameter is that of its pivot only where the pivot stands alone.
-        if estimate.theta is None or verdict[j] == "identifiable":
-            row |= {"std_from": kind, **_entry(spreads, base_index[j])}
-        rows.append(row)
-    return rows
-
-
-def _entry(arrays: Mapping[str, Array], i: int | None) -> dict[str, float]:
-    """Entry i of each array; {} for a parameter that is not a pivot."""
-    return {} if i is None else {key: float(x[i]) for key, x in arrays.items()}
-
-
-def _parameter_row(name: str, true: float, estimate: float, verdict: str) -> Row:
-    body, _, parameter = name.rpartition(".")
+def _prediction_fields(
+    prepared: ExperimentData[Any], estimate: Estimate, joints: Sequence[Mapping[str, Any]]
+) -> Row:
+    """The share of held-out torque inside of prediction intervals (`torque_inside`, and by joint
+    `inside`), and the reason where several motions give no interval."""
+    fits = motion_fit(prepared.problem, estimate)
+    if isinstance(fits, str):
+        return {"no_motions_interval": fits} if prepared.problem.motions else {}
+    if not prepared.held_out:
+        return {}
+    inside = torque_coverage(fits, prepared.held_out)
+    pairs = zip(joints, inside, strict=True)
     return {
-        "body": body,
-        "name": parameter,
-        "true": true,
-        "estimate": estimate,
-        "std": None,
-        "std_from": None,
-        "identifiable": verdict,
+        "torque_inside": float(np.mean(inside)),
+        "joints": tuple({**joint, "inside": float(share)} for joint, share in pairs),
     }

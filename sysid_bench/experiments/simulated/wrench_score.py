@@ -1,6 +1,6 @@
 """Evaluation of a task behind a force/torque sensor: torques, contacts, unexcited directions."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
 
@@ -103,36 +103,21 @@ def contact_test(spec: ExperimentSpec, built: BuiltPlant, task: Task) -> Contact
     return ContactTest(method, f_b, method.drives.reduced(tau[:, list(method.tree.dofs)]), wrench)
 
 
-def rank_fields(excitation: Excitation) -> Row:
-    """Row fields of the sub-tree behind a sensor: ranks, and unpredictable degrees of freedom."""
-    return {
-        "structural_rank": excitation.structural,
-        "excited_rank": excitation.rank,
-        "unpredictable": len(excitation.unpredictable),
-        "unpredictable_names": ", ".join(excitation.unpredictable),
-    }
-
-
 def contact_fields(errors: dict[str, WrenchErrors] | None) -> Row:
     """Row fields of a contact test: ratios of RMS errors; none without errors."""
     if errors is None:
         return {}
     true, cad, found = (asdict(errors[name]) for name in ("true", "CAD", "identified"))
+
+    def worst(over: Row, under: Row, *keys: str) -> float | None:
+        """Largest ratio, each of errors in one unit; None where rounding would be divided by
+        rounding, or nothing by nothing."""
+        known = [key for key in keys if np.isfinite(over[key]) and under[key] > 1e-9]
+        return max((over[key] / under[key] for key in known), default=None)
+
     return {
-        "sensed_torque_ratio": _worst(_ratio(found[key], true[key]) for key in ("torque", "slide")),
-        "sensed_wrench_ratio": _worst(_ratio(found[key], true[key]) for key in ("force", "moment")),
-        "sensed_cad_ratio": _worst(_ratio(cad[key], found[key]) for key in ("torque", "slide")),
-        "alone_cad_ratio": _worst(
-            _ratio(found[key], cad[key]) for key in ("torque_alone", "slide_alone")
-        ),
+        "sensed_torque_ratio": worst(found, true, "torque", "slide"),
+        "sensed_wrench_ratio": worst(found, true, "force", "moment"),
+        "sensed_cad_ratio": worst(cad, found, "torque", "slide"),
+        "alone_cad_ratio": worst(found, cad, "torque_alone", "slide_alone"),
     }
-
-
-def _worst(ratios: Iterable[float | None]) -> float | None:
-    """Largest of the known ratios, each of errors in one unit; None without any."""
-    return max((ratio for ratio in ratios if ratio is not None), default=None)
-
-
-def _ratio(error: float, other: float) -> float | None:
-    """None where rounding would be divided by rounding, or nothing by nothing."""
-    return error / other if np.isfinite(error) and other > 1e-9 else None

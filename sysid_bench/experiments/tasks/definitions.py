@@ -11,6 +11,7 @@ from sysid_bench.experiments.tasks.task import (
     SensorOffset,
     Task,
     TaskDefinition,
+    Terms,
     columns_of,
     joint_torque_task,
     phi_with_payload,
@@ -58,7 +59,7 @@ def sensor_task(
     bodies: Sequence[int],
     phi: Array,
     given: Array,
-    terms: tuple[str, ...],
+    terms: Terms,
     offset: SensorOffset | None,
 ) -> Task:
     """Build a task on the wrench of one sensor: the `bodies` (indices) with true parameters `phi`
@@ -96,11 +97,7 @@ class RobotTask(TaskDefinition):
     supports_recordings: ClassVar[bool] = True
 
     def unknowns(
-        self,
-        robot: RobotModel,
-        terms: tuple[str, ...],
-        sensor: str | None,
-        offset: SensorOffset | None,
+        self, robot: RobotModel, terms: Terms, sensor: str | None, offset: SensorOffset | None
     ) -> Task:
         """Pose the task; the bodies that the manifest calls massless are given."""
         bodies, phi = unknown_bodies(robot), phi_with_payload(robot)
@@ -127,11 +124,7 @@ class PayloadTask(TaskDefinition):
     supports_recordings: ClassVar[bool] = True
 
     def unknowns(
-        self,
-        robot: RobotModel,
-        terms: tuple[str, ...],
-        sensor: str | None,
-        offset: SensorOffset | None,
+        self, robot: RobotModel, terms: Terms, sensor: str | None, offset: SensorOffset | None
     ) -> Task:
         """Pose the task; joint terms are given."""
         if robot.payload_body is None:
@@ -154,11 +147,7 @@ class LinkTask(TaskDefinition):
     lumps_welded_bodies: ClassVar[bool] = True
 
     def unknowns(
-        self,
-        robot: RobotModel,
-        terms: tuple[str, ...],
-        sensor: str | None,
-        offset: SensorOffset | None,
+        self, robot: RobotModel, terms: Terms, sensor: str | None, offset: SensorOffset | None
     ) -> Task:
         """Pose the task; `terms`, by default none, are unknown on all joints that they name."""
         body, phi, given = tool_link(robot)
@@ -188,11 +177,7 @@ class TerminalTask(TaskDefinition):
     lumps_welded_bodies: ClassVar[bool] = True
 
     def unknowns(
-        self,
-        robot: RobotModel,
-        terms: tuple[str, ...],
-        sensor: str | None,
-        offset: SensorOffset | None,
+        self, robot: RobotModel, terms: Terms, sensor: str | None, offset: SensorOffset | None
     ) -> Task:
         """Pose the task; terms of other joints are given."""
         body, phi, given = tool_link(robot)
@@ -236,11 +221,7 @@ class WrenchTask(TaskDefinition):
     supports_recordings: ClassVar[bool] = True
 
     def unknowns(
-        self,
-        robot: RobotModel,
-        terms: tuple[str, ...],
-        sensor: str | None,
-        offset: SensorOffset | None,
+        self, robot: RobotModel, terms: Terms, sensor: str | None, offset: SensorOffset | None
     ) -> Task:
         """Pose the task; a payload is a part of the body that carries it."""
         cuts = sensor_subtree(robot, default_sensor(robot, sensor))
@@ -262,11 +243,7 @@ class WrenchPayloadTask(TaskDefinition):
     writes_model: ClassVar[bool] = False
 
     def unknowns(
-        self,
-        robot: RobotModel,
-        terms: tuple[str, ...],
-        sensor: str | None,
-        offset: SensorOffset | None,
+        self, robot: RobotModel, terms: Terms, sensor: str | None, offset: SensorOffset | None
     ) -> Task:
         """Pose the task. Raises UnsupportedError where no payload is distal to the sensor."""
         name = default_sensor(robot, sensor)

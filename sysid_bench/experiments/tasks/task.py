@@ -23,15 +23,14 @@ from sysid_bench.words import MOTOR
 def words_of_features(words: Sequence[str], robot: RobotModel) -> tuple[str, ...]:
     """Return those words that name features: of all joints ("tanh"), of one joint ("j2.poly",
     "j2.file:mine.py:Spring") or of motors ("motor.play"), not joint terms ("viscous", "j2.k")."""
-    return tuple(word for word in words if word not in SUFFIX and _is_feature(word, robot))
-
-
-def _is_feature(word: str, robot: RobotModel) -> bool:
-    if word.startswith(f"{MOTOR}."):
-        return True
-    joint = joint_of(word, robot.rows)
-    name = word.removeprefix(f"{joint}.") if joint else word
-    return word not in robot.term_names and (":" in name or name in known("term"))
+    found = []
+    for word in words:
+        joint = joint_of(word, robot.rows)
+        name = word.removeprefix(f"{joint}.") if joint else word
+        is_term = word in SUFFIX or word in robot.term_names
+        if word.startswith(f"{MOTOR}.") or (not is_term and (":" in name or name in known("term"))):
+            found.append(word)
+    return tuple(found)
 
 
 def joint_of(word: str, rows: Sequence[str]) -> str:
@@ -39,6 +38,9 @@ def joint_of(word: str, rows: Sequence[str]) -> str:
     may contain dots."""
     return max((row for row in rows if word.startswith(f"{row}.")), key=len, default="")
 
+
+Terms = tuple[str, ...]
+"""Words of joint terms, as "viscous", "j2.k", "offset"."""
 
 SensorOffset = Callable[[int], Array]
 """Number of force/torque sensors n -> their true constants (6 n,) in N m and N."""
@@ -90,11 +92,7 @@ class TaskDefinition(Protocol):
         return tuple(term for term in robot.manifest.terms if term not in features)
 
     def unknowns(
-        self,
-        robot: RobotModel,
-        terms: tuple[str, ...],
-        sensor: str | None,
-        offset: SensorOffset | None,
+        self, robot: RobotModel, terms: Terms, sensor: str | None, offset: SensorOffset | None
     ) -> "Task":
         """Pose the task for a robot; `terms`, `sensor` and `offset` as in `task_of`. Raises
         UnsupportedError for a robot without such unknowns."""
@@ -179,7 +177,7 @@ def task_names_with_terms() -> tuple[str, ...]:
 def task_of(
     robot: RobotModel,
     name: str,
-    terms: tuple[str, ...],
+    terms: Terms,
     sensor: str | None = None,
     offset: SensorOffset | None = None,
 ) -> Task:
@@ -199,7 +197,7 @@ def joint_torque_task(
     bodies: tuple[Body, ...],
     phi: Array,
     given: Array,
-    terms: tuple[str, ...] = (),
+    terms: Terms = (),
     rows: tuple[str, ...] | None = None,
 ) -> Task:
     """Build a task on joint torques: `bodies` with true parameters `phi` (n, 10) and the joint

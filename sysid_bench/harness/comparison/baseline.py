@@ -118,15 +118,6 @@ def _like_the_first(settings: Mapping[str, dict[str, Any]]) -> dict[str, dict[st
     return found
 
 
-def _with_all(settings: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
-    """The inverse of `_like_the_first`."""
-    whole = {}
-    for name, values in settings.items():
-        all_values = {**settings.get(values.get(_LIKE, ""), {}), **values}
-        whole[name] = {key: float(v) for key, v in all_values.items() if key != _LIKE}
-    return whole
-
-
 def _cell_json(baseline: Baseline, cell: CellValues) -> list[Any]:
     """[labels, status, values...], or the reason in place of the values."""
     first = [" | ".join(cell.labels), cell.status]
@@ -206,16 +197,19 @@ def _run(values: Mapping[str, Any]) -> RunValues:
         for robot, block in robots
         for part, (ratio, noise, count) in block.get("speeds", {}).items()
     }
+    parameters = {}
+    for robot, block in robots:
+        settings = block["parameters"]
+        for setting, written in settings.items():  # the inverse of `_like_the_first`
+            whole = {**settings.get(written.get(_LIKE, ""), {}), **written}
+            true = {key: float(value) for key, value in whole.items() if key != _LIKE}
+            parameters[robot, setting] = true
     return RunValues(
         name=str(values["suite"]),
         axes=tuple(map(str, values["axes"])),
         metrics=metrics,
         cells=dict(cell for robot, block in robots for cell in _cells(robot, block, len(metrics))),
-        parameters={
-            (robot, setting): true
-            for robot, block in robots
-            for setting, true in _with_all(block["parameters"]).items()
-        },
+        parameters=parameters,
         origin=dict(values["origin"]),
         speeds=speeds,
     )

@@ -120,12 +120,22 @@ def find_difference(
     # Speeds are undecided for robots that have not the same cells in both runs.
     robots = {robot for robot, _ in before.speeds}
     differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
+    # What differs in the true base parameters of the settings that both have.
+    parameters = []
+    for key in [key for key in before.parameters if key in after.parameters]:
+        was, now = before.parameters[key], after.parameters[key]
+        largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
+        same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
+        for name in dict.fromkeys((*was, *now)):
+            a, b = was.get(name), now.get(name)
+            if a is None or b is None or not same.holds(a, b):
+                parameters.append(ParameterChange(*key, name, a, b))
     old, new = _flat_origin(before.origin), _flat_origin(after.origin)
     return RunDifference(
         before=before,
         after=after,
         cells=tuple(_cell_changes(before, after, ran, tolerances or {})),
-        parameters=tuple(_parameter_changes(before, after)),
+        parameters=tuple(parameters),
         appeared=_missing(after.cells, before.cells),
         vanished=() if partial else _missing(before.cells, after.cells),
         open=() if partial else tuple(sorted({*both} - {*ran})),
@@ -171,21 +181,6 @@ def _cell_changes(
 def _places(name: str, before: RunValues, after: RunValues) -> tuple[int, int]:
     """Return where the values of a metric stand in the cells of two runs."""
     return [*before.metrics].index(name), [*after.metrics].index(name)
-
-
-def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[ParameterChange]:
-    """Yield what differs in the true base parameters of the settings that both have, and what one
-    side alone has."""
-    for key, was in before.parameters.items():
-        now = after.parameters.get(key)
-        if now is None:
-            continue
-        largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
-        same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
-        for name in dict.fromkeys((*was, *now)):
-            a, b = was.get(name), now.get(name)
-            if a is None or b is None or not same.holds(a, b):
-                yield ParameterChange(*key, name, a, b)
 
 
 def _flat_origin(origin: Mapping[str, Any]) -> dict[str, str]:

@@ -10,14 +10,13 @@ from pydantic import BeforeValidator, ConfigDict, StrictStr, ValidationInfo, mod
 from sysid_bench import package_folders, plugin_names
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.excitation.limit_settings import checks_limits, without_limits
 from sysid_bench.experiments.simulated.composed_plant import (
     COMPOSED,
     KIND_OF,
     plant_entries,
     size_limits,
 )
-from sysid_bench.experiments.spec import SEALED
+from sysid_bench.experiments.spec import SEALED, checks_limits, without_limits
 from sysid_bench.harness.suite.checks import SuiteTable, Value, check_input, quantity_of, value_of
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import metric_from_record, metric_of_plugin, metric_record

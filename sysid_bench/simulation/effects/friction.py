@@ -158,7 +158,6 @@ class Asymmetric:
     dissipates: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError for shares of 100 % or more, with which friction drives a joint."""
         check_size("width of the effect 'asymmetric-friction'", self.width, above=True)
         for share in (self.coulomb, self.viscous):
             if not (np.abs(np.asarray(share, dtype=float)) < 1).all():
@@ -198,7 +197,6 @@ class CurvedFriction:
     dissipates: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a curvature that lets friction drive a joint."""
         if not (np.asarray(self.curvature, dtype=float) > -1).all():
             raise UsageError(
                 f"curvature = {self.curvature!r} of the effect 'curved-friction': give more than "
@@ -235,7 +233,6 @@ class LoadFriction:
     dissipates: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError for negative sizes, and for friction above half of the load."""
         check_size("Size of the effect 'load-friction'", self.coulomb, self.viscous)
         check_size("width of the effect 'load-friction'", self.width, above=True)
         if not (np.asarray(self.coulomb, dtype=float) <= 0.5).all():
@@ -273,7 +270,6 @@ class WarmUp:
     dissipates: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError for negative sizes and times."""
         check_size("Size of the effect 'warm-up'", self.viscous, self.coulomb, self.elapsed)
         check_size("Time or width of the effect 'warm-up'", self.time, self.width,
                            above=True)  # fmt: skip

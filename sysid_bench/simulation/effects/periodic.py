@@ -144,7 +144,6 @@ class Periodic:
     dissipates: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError for sizes with which friction drives a joint."""
         what = "ratio or width of the effect 'periodic-friction'"
         check_size(what, self.ratio, self.width, above=True)
         largest = [np.abs(np.asarray(x, dtype=float)).max() for x in
@@ -190,7 +189,6 @@ class TorqueRipple:
     sizes: ClassVar[tuple[str, ...]] = ("first", "second", "fourth")
 
     def __post_init__(self) -> None:
-        """Raise UsageError for ripple of 25 % or more and for a negative ratio."""
         check_size("ratio of the effect 'torque-ripple'", self.ratio, above=True)
         for size in (self.first, self.second, self.fourth):
             if not (np.abs(np.asarray(size, dtype=float)) < 0.25).all():

@@ -31,7 +31,6 @@ class Stribeck:
     dissipates: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError for negative sizes, and for velocities of zero."""
         check_size("share of the effect 'stribeck'", self.share)
         check_size("vs or v0 of the effect 'stribeck'", self.vs, self.v0, above=True)
 
@@ -80,7 +79,6 @@ class Lugre:
     dissipates: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError for negative sizes, and for a Stribeck velocity of zero."""
         check_size("Size of the effect 'lugre'", self.presliding, self.peak, self.damping)
         check_size("vs of the effect 'lugre'", self.vs, above=True)
 
@@ -153,7 +151,6 @@ class Play:
     dissipates: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError for a negative width."""
         check_size("width of the effect 'play'", self.width)
 
     def prepare(self, robot: RobotModel) -> FrictionLaw | None:

@@ -33,7 +33,6 @@ class GravitySpring:
     sizes: ClassVar[tuple[str, ...]] = ("balance",)
 
     def __post_init__(self) -> None:
-        """Raise UsageError for impossible springs."""
         check_size("arm or length of the effect 'gravity-spring'", self.arm, self.length)
         if not (np.asarray(self.arm, dtype=float) < 1).all():
             raise UsageError(
@@ -92,7 +91,6 @@ class Cables:
     dissipates: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError for negative sizes."""
         check_size("Size of the effect 'cables'", self.bending, self.hysteresis)
         check_size("width of the effect 'cables'", self.width, above=True)
 
@@ -169,7 +167,6 @@ class ElasticJoints:
     vanishes_at_rest: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise UsageError for negative sizes, and encoders on neither side."""
         check_size("Size of 'elastic-joints'", self.windup, self.damping, self.gap)
         if self.stiffness is not None:
             check_size("stiffness of 'elastic-joints'", self.stiffness, above=True)
