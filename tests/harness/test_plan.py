@@ -56,7 +56,6 @@ CHANGES: dict[str, Any] = {
     "confidence": 0.9,
     "log": {"train": ["run.toml"]},
     "content": "0123456789ab",
-    "confidence": 0.9,
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
     motion_seed: {"seed", "robot", "content", "excitation", "redrawn"},
