@@ -14,6 +14,7 @@ from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import ModelError, UsageError, first_names
 
 if TYPE_CHECKING:
+    from sysid_bench.models.dh_table import DhRow
     from sysid_bench.models.robot import RobotModel
 
 _HEAVIEST: Final = 5_000.0
@@ -306,18 +307,10 @@ def init_robot(
     # The table may already lie in the folder: copying a file onto itself is an error.
     if source.resolve() != copy.resolve():
         shutil.copyfile(source, copy)
-    # Lines of defaults are left out.
-    lines = [f'name  = "{robot_name}"', f'file  = "{robot_name}.xml"']
-    lines += ['terms = ["viscous", "coulomb"]']
-    if massless:
-        lines += [f"massless = [{_bodies(massless)}]  # not asked for"]
-    lines += ["[dh]", 'table      = "dh.csv"', f'convention = "{convention}"']
-    lines += [f'frames     = "{frames}"']
+    conventions = {"convention": f'"{convention}"', "frames": f'"{frames}"'}
     if any(turned):
-        lines += [f"base       = [{', '.join(f'{x:.17g}' for x in turned)}]"]
-    lines += ["[paper]", f"order = [{_bodies(row.link for row in links)}]"]
-    lines += ["[limits.all]", "v = 2.0", "a = 5.0"]
-    manifest.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        conventions["base"] = f"[{', '.join(f'{x:.17g}' for x in turned)}]"
+    manifest.write_text(_table_manifest(robot_name, conventions, massless, links), encoding="utf-8")
     invented = [f"link{row.link}" for row in links if row.mass is None and row.link not in massless]
     warnings = [f"masses made up: {', '.join(invented)}"] if invented else []
     return _result(robot_name, files, warnings)
@@ -333,6 +326,20 @@ def _three_numbers(given: Sequence[float] | str, option: str) -> tuple[float, ..
     if len(words) != 3:
         raise UsageError(f"--{option}: write three numbers, as '0 pi/2 0'; got {given!r}.")
     return tuple(read_expression(word, {}, frozenset(), f"--{option}").constant for word in words)
+
+
+def _table_manifest(
+    name: str, conventions: Mapping[str, str], massless: Sequence[str], links: "Sequence[DhRow]"
+) -> str:
+    """Text of robot.toml with the `conventions` of its table."""
+    without = f"massless = [{_bodies(massless)}]  # not asked for\n" if massless else ""
+    dh = "".join(f"{key:<10} = {value}\n" for key, value in conventions.items())
+    return (
+        f'name  = "{name}"\nfile  = "{name}.xml"\nterms = ["viscous", "coulomb"]\n{without}'
+        f'[dh]\ntable      = "dh.csv"\n{dh}'
+        f"[paper]\norder = [{_bodies(row.link for row in links)}]\n"
+        "[limits.all]\nv = 2.0\na = 5.0\n"
+    )
 
 
 def _bodies(links: Iterable[str]) -> str:

@@ -1,11 +1,13 @@
 """Recorded robot with its training and test recordings, and the Cramer-Rao bound of predictions at
 the noise that a repeated motion shows."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import cached_property
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -176,3 +178,17 @@ def of_data_set(
         {log: log_description(f"{place}/{log}", Path()) for log in described.test},
         options,
     )
+
+
+Found = TypeVar("Found")
+
+
+def run_work(work: Mapping[str, Callable[[], Found]], jobs: int) -> Iterator[tuple[str, Found]]:
+    """Yield the name and the result of each piece of work as it is done, in `jobs` processes; with
+    one job in this process and in order."""
+    if jobs == 1:
+        yield from ((name, one()) for name, one in work.items())
+        return
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        waiting = {pool.submit(one): name for name, one in work.items()}
+        yield from ((waiting[done], done.result()) for done in as_completed(waiting))

@@ -73,8 +73,7 @@ class TransferRequest(Request["TransferResult"]):
     def compare(self, progress: Callable[[str], None] | None) -> "TransferResult":
         """Compare the methods; `progress` is called with each set that is done."""
         from sysid_bench.apps.twins.commands.transfer_sources import Sources, TransferSource
-        from sysid_bench.apps.twins.recorded_robot import METHOD, of_data_set
-        from sysid_bench.commands.work_process import run_work
+        from sysid_bench.apps.twins.recorded_robot import METHOD, of_data_set, run_work
         from sysid_bench.reporting.error_figures import transfer_figure
 
         _check_names(self.truth, self.methods, self.levels)

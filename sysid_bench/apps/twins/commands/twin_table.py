@@ -15,9 +15,8 @@ from sysid_bench.apps.twins.agreement import Residual, residual_ratio, robot_med
 from sysid_bench.apps.twins.commands.identify_twin import identify_twin, replay_residual, twin_share
 from sysid_bench.apps.twins.commands.twin import TRUTHS
 from sysid_bench.apps.twins.fit_twin import Twin
-from sysid_bench.apps.twins.recorded_robot import RecordedRobot, of_data_set, residual_of
+from sysid_bench.apps.twins.recorded_robot import RecordedRobot, of_data_set, residual_of, run_work
 from sysid_bench.commands.result import Result
-from sysid_bench.commands.work_process import run_work
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.models.data_sets import find_dataset
 
