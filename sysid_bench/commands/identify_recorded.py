@@ -163,9 +163,9 @@ def identify_recorded(request: Identify) -> RecordedResult:
         torque_figure.write(
             figure, StoredTorque("", found.t, found.measured, found.predicted, rows, units)
         )
-    return (
-        result if model_out is None else _with_model(result, request, prepared, estimate, model_out)
-    )
+    if model_out is not None:
+        result = _with_model(result, request, prepared, estimate, model_out)
+    return result
 
 
 def _specification(

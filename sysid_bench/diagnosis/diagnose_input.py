@@ -162,6 +162,7 @@ class DiagnoseInput:
     def motion(self) -> JointMotion:
         """Filtered motion, decimated."""
         low_pass, rate = self._low_pass, self.rate
+        # Differences of q: a recorded v may have mistakes of its own.
         q = low_pass.smooth(self.log.recording.q[:, self.position_columns], rate)
         v = derivative(low_pass, q, rate)
         a = derivative(low_pass, v, rate)

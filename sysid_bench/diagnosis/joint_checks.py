@@ -115,6 +115,7 @@ class JointRows:
         """Mean squared error of joint j's torque in parts of time that columns X (N, k) were not
         fitted to."""
         y = self.torque[:, j]
+        # Parts of time, not single samples: neighbours have the same error of the model.
         folds = np.arange(len(y)) * FOLDS // len(y)
         size = np.linalg.norm(X, axis=0)
         Xs = X[:, size > 0] / size[size > 0]
@@ -156,6 +157,7 @@ def _delay(own: JointRows, j: int, lags: Array) -> Iterator[Finding]:
     delay = float(lags[best]) / own.evidence.rate
     size = float((shifted[:, zero] ** 2).sum())
     good = size > 0 and np.sqrt(whole[best] / size) < GOOD
+    # A delay is the same all the time; friction that looks like one is not.
     halves = [int(np.argmin(part.sum(axis=0))) for part in np.array_split(residual, 2)]
     agree = max(abs(half - best) for half in halves) <= 1 + abs(best - zero) // 3
     interior = 0 < best < len(lags) - 1
@@ -278,6 +280,7 @@ def standstill(evidence: DiagnoseInput) -> Iterator[Finding]:
 
 def excitation(evidence: DiagnoseInput) -> Iterator[Finding]:
     """Yield the number of directions of the links that the motion hardly excites."""
+    # Along these directions the motion says less than one standard deviation of the prior.
     information = evidence.near_model.information
     weak = int((information < PENALTY**2).sum())
     if not evidence.placeholder and weak / max(len(information), 1) >= FAIR:

@@ -54,6 +54,7 @@ def _fitted_gravity(before: Hypothesis, inertial: Array, axes: Array) -> Array:
     lhs, rhs = [], []
     for j in range(e.count):
         size = float(np.sqrt((before.torque[:, j] ** 2).mean())) or 1.0
+        # Friction, armature and offset are those of the joint; gravity is common to all.
         own = np.zeros((len(F), e.count, F.shape[2]))
         own[:, j] = F[:, j]
         lhs.append(np.column_stack([columns[:, :, j].T, own.reshape(len(F), -1)]) / size)

@@ -117,6 +117,7 @@ def _small_offsets(before: Hypothesis, joints: Sequence[int]) -> Array:
     for k in range(len(joints)):
         costs = []
         for offset in (-TRIED, 0.0, TRIED):
+            # The fit of torques less slope times offset: three of them, no new regressor.
             mixing = np.zeros((n + len(joints), n))
             mixing[:n], mixing[n + k] = before.mixing, -offset
             costs.append(model.fit(mixing).cost)

@@ -99,6 +99,7 @@ class NearModel:
         signed = [r + j * m + i for j in np.flatnonzero(scale > 0) for i in range(SIGNED)]
         x = _bounded(H, b, np.array(signed, dtype=int))
         links, terms = x[:r], x[r:].reshape(n, -1)
+        # Residuals from the products alone: |y - X x|^2 = y'y - 2 x'X'y + x'X'X x.
         full = np.concatenate([np.tile(links, (n, 1)), terms], axis=1)
         P = self.products[:, :known, :known]
         rss = left - 2 * (full * rhs[:, :known]).sum(axis=1)
@@ -147,6 +148,7 @@ class NearModel:
 
 def _bounded(H: Array, b: Array, signed: Array) -> Array:
     """Minimum of x' H x / 2 - b' x with x >= 0 for the indices `signed`, by an active set."""
+    # Columns in SI differ by decades: with a unit diagonal one small number regularises all.
     D = np.sqrt(np.maximum(np.diag(H), 1e-300))
     Hs = H / np.outer(D, D)
     Hs[np.diag_indices_from(Hs)] += 1e-9
@@ -156,6 +158,7 @@ def _bounded(H: Array, b: Array, signed: Array) -> Array:
         index = np.flatnonzero(free)
         x[:] = 0.0
         x[index] = np.linalg.solve(Hs[np.ix_(index, index)], b[index] / D[index])
+        # Unknowns that turn negative are held at zero, and never set free again.
         wrong = signed[x[signed] < 0]
         if len(wrong) == 0:
             break
@@ -173,6 +176,7 @@ def near_model(W: Array, F: Array, T: Array, known: Array, scale: Array) -> Near
     rms = np.sqrt((T[:, 0, :n] ** 2).mean(axis=0))
     weight = np.where(rms > 0, 1.0 / np.where(rms > 0, rms, 1.0), 0.0)
     Ws = W * scale
+    # Directions without effect on any torque are dropped: the prior alone decides them.
     gram = np.einsum("j,jik->ik", weight**2, _grams(Ws))
     values, vectors = np.linalg.eigh(gram)
     kept = values > 1e-9 * max(float(values[-1]), 1e-300)

@@ -16,7 +16,6 @@ from scipy.linalg import qr, solve_triangular
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, instruments_of
-from sysid_bench.models.tree import Tree
 from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.types import Array, BaseMap, Trajectory
@@ -191,12 +190,20 @@ def structural_factor(
     `appended(motion)` returns k further columns (N, rows, k): then R is (m, p + k).
     """
     instruments = instruments_of(robot, cuts)
+    tree = instruments.tree
     # Names of m columns that span all p, and the coefficients X (m, p). Bodies welded to a link
     # act through the link's ten parameters, so that m does not grow with their number.
     index = {name: j for j, name in enumerate(robot.inertial_columns)}
     weights: dict[str, Array] = {}
     for j, name in enumerate(parameters):
-        acting = _on_link(robot, instruments.tree, index[name]) if name in index else {name: 1.0}
+        acting = {name: 1.0}
+        if name in index:
+            body, number = divmod(index[name], 10)
+            link, column = int(tree.carrier[body]), tree.X[body][:, number]
+            # Welded to the world (link -1), no joint carries it.
+            nonzero = np.flatnonzero(column).tolist() if link >= 0 else []
+            first = 10 * tree.links[link].body
+            acting = {robot.inertial_columns[first + k]: float(column[k]) for k in nonzero}
         for column, weight in acting.items():
             weights.setdefault(column, np.zeros(len(parameters)))[j] = weight
     carried, X = tuple(weights), np.array([*weights.values()]).reshape(-1, len(parameters))
@@ -213,14 +220,3 @@ def structural_factor(
         factors.append(qr_factor([both.reshape(-1, both.shape[2])]))
     R, m = qr_factor(factors), len(carried)
     return np.hstack([R[:, :m] @ X, R[:, m:]])
-
-
-def _on_link(robot: RobotModel, tree: Tree, index: int) -> dict[str, float]:
-    """Parameters of the carrying link, with their coefficients, that act as one of a body does."""
-    body, number = divmod(index, 10)
-    link = int(tree.carrier[body])
-    if link < 0:  # welded to the world: no joint carries it
-        return {}
-    first, X = 10 * tree.links[link].body, tree.X[body]
-    nonzero = np.flatnonzero(X[:, number]).tolist()
-    return {robot.inertial_columns[first + k]: float(X[k, number]) for k in nonzero}

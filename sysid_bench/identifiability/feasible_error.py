@@ -68,7 +68,12 @@ def feasible_error(
     p = K.shape[1]
     index = {name: i for i, name in enumerate(parameters)}
     one = np.ones((len(K), 1))
-    A, b = _bound_rows(index, bodies)
+    # A theta <= b: joint terms are not negative, masses are bounded.
+    inertial = {column for body in bodies for column in body.columns}
+    signed = [i for name, i in index.items() if name not in inertial and _signed(name)]
+    masses = [index[body.columns[0]] for body in bodies if body.columns[0] in index]
+    A = np.vstack([-np.eye(p)[signed], np.eye(p)[masses]])
+    b = np.append(np.zeros(len(signed)), np.full(len(masses), MASS_BOUND))
     bounded = np.hstack([A, np.zeros((len(A), 1))])
     # G [theta; t] <= h: |K theta - values| <= t as two inequalities, then the bounds.
     G = np.vstack([np.hstack([K, -one]), np.hstack([-K, -one]), bounded])
@@ -90,16 +95,6 @@ def feasible_error(
             f"The feasibility of the values was not decided; solver status: {solution.status}."
         )
     return max(float(solution.x[p]), 0.0)
-
-
-def _bound_rows(index: Mapping[str, int], bodies: Sequence[Body]) -> tuple[Array, Array]:
-    """A (m, p) and b (m,) of A theta <= b: joint terms are not negative, masses are bounded."""
-    inertial = {column for body in bodies for column in body.columns}
-    signed = [i for name, i in index.items() if name not in inertial and _signed(name)]
-    masses = [index[body.columns[0]] for body in bodies if body.columns[0] in index]
-    unit = np.eye(len(index))
-    A = np.vstack([-unit[signed], unit[masses]])
-    return A, np.append(np.zeros(len(signed)), np.full(len(masses), MASS_BOUND))
 
 
 def _signed(name: str) -> bool:

@@ -167,9 +167,15 @@ class _RowSpaceTest:
             return
         for k in lost:
             yield self._addition("torque", self.drives.rows[k], self.rows[:, k, None], lost)
-        p = len(self.columns)
-        for body in self._moved_bodies():
-            inside = np.isin(np.arange(p) // 10, self._distal(body))
+        # Bodies that a second sensor can be at: moved, and in no closed loop.
+        moving, p = {link.body for link in self.robot.tree.links}, len(self.columns)
+        chains = chain_bodies(self.robot)
+        for body in self.cut.bodies[1:]:
+            places = self._distal(body)
+            distal = {self.cut.bodies[i] for i in places}
+            if body not in moving or any((a in distal) != (b in distal) for a, b in chains):
+                continue
+            inside = np.isin(np.arange(p) // 10, places)
             found = self._addition("sensor", self.robot.body_names[body], self.Y_n * inside, lost)
             if found.predicts:
                 yield found
@@ -183,17 +189,6 @@ class _RowSpaceTest:
             self.drives.rows[k] for k in lost if _residual(self.rows[:, k], V) <= RESIDUAL
         )
         return _Addition(kind, name, more.shape[1], predicts)
-
-    def _moved_bodies(self) -> Iterator[int]:
-        """Bodies distal to the sensor that a second one can carry: moved, and in no closed loop."""
-        moving = {link.body for link in self.robot.tree.links}
-        chains = chain_bodies(self.robot)
-        for body in self.cut.bodies[1:]:
-            inside = [self.cut.bodies[i] for i in self._distal(body)]
-            if body in moving and all(
-                (one in inside) == (other in inside) for one, other in chains
-            ):
-                yield body
 
     def _distal(self, body: int) -> list[int]:
         """Indices among the bodies of the sub-tree of a body and its descendants."""

@@ -55,29 +55,28 @@ def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
         raise ModelError(
             f"{robot}: the root body already has joints; a free joint cannot be added to it."
         )
-    repairs = _give_mass(spec, root)
+    repairs: tuple[str, ...] = ()
+    mj, _ = compile_spec(spec)
+    if mj is not None:  # else reported where the whole model is compiled
+        # MuJoCo refuses a moving body without mass, of its own or of a body that is welded to it:
+        # no joint lies between.
+        welded = {root.id}
+        for b in range(root.id + 1, mj.nbody):  # parents come before their children
+            if int(mj.body_parentid[b]) in welded and mj.body_jntnum[b] == 0:
+                welded.add(b)
+        if mj.body_mass[list(welded)].sum() < MASSLESS:
+            root.explicitinertial, root.mass, root.inertia = (
+                True,
+                TINY_MASS,
+                np.full(3, TINY_MOMENT),
+            )
+            root.ipos, root.iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+            # NaN means "not given"; another orientation in the text would win over iquat.
+            root.fullinertia = np.full(6, np.nan)
+            root.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+            repairs = (f"massless root body {root.name!r} given {TINY_MASS:.0e} kg",)
     root.add_freejoint(name=free_name("root", [joint.name for joint in spec.joints]))
     return repairs
-
-
-def _give_mass(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> tuple[str, ...]:
-    """Give a massless floating base a small mass: MuJoCo refuses a moving body without mass, of its
-    own or of a body that is welded to it."""
-    mj, _ = compile_spec(spec)
-    if mj is None:
-        return ()  # reported where the whole model is compiled
-    # Bodies that move with the root: no joint lies between.
-    welded = {root.id}
-    for b in range(root.id + 1, mj.nbody):  # parents come before their children
-        if int(mj.body_parentid[b]) in welded and mj.body_jntnum[b] == 0:
-            welded.add(b)
-    if mj.body_mass[list(welded)].sum() >= MASSLESS:
-        return ()
-    root.explicitinertial, root.mass, root.inertia = True, TINY_MASS, np.full(3, TINY_MOMENT)
-    root.ipos, root.iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-    # NaN means "not given" to MuJoCo; another orientation in the text would win over iquat.
-    root.fullinertia, root.ialt.type = np.full(6, np.nan), mujoco.mjtOrientation.mjORIENTATION_QUAT
-    return (f"massless root body {root.name!r} given {TINY_MASS:.0e} kg",)
 
 
 def lock_joints(spec: mujoco.MjSpec, mj: mujoco.MjModel, where: Mapping[str, float]) -> None:

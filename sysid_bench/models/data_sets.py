@@ -347,7 +347,15 @@ def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
     file that is damaged or cannot be had, for data without a licence, and for a full disk.
     """
     target = found.cache if out is None else out
-    places = {file.path: _present(found, file, out) for file in found.described.file}
+    places: dict[str, Path | None] = {}
+    for file in found.described.file:
+        others = found.candidates(file.path)
+        if out is not None:
+            others = list(filter(is_file, [out / file.path]))
+        place = next(filter(file.is_at, others), None)
+        if place is None and others not in ([], [found.cache / file.path]):  # ours is loaded again
+            raise UsageError(_damaged(found, file, f"{others[0]} differs from it"))
+        places[file.path] = place
     absent = [file for file in found.described.file if places[file.path] is None]
     # A copy or download would pass on what nobody has licensed; files of the user's own are read.
     if absent and not found.described.is_open:
@@ -370,17 +378,6 @@ def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
     for file in absent:
         _fetch_file(found, file, target / file.path)
     return {path: place or target / path for path, place in places.items()}
-
-
-def _present(found: DataSetFiles, file: DataFile, out: Path | None) -> Path | None:
-    """Return the checked file where it need not be loaded, None where it must be."""
-    others = found.candidates(file.path)
-    if out is not None:
-        others = list(filter(is_file, [out / file.path]))
-    place = next(filter(file.is_at, others), None)
-    if place is not None or others in ([], [found.cache / file.path]):  # ours is loaded again
-        return place
-    raise UsageError(_damaged(found, file, f"{others[0]} differs from it"))
 
 
 def _damaged(found: DataSetFiles, file: DataFile, what: str) -> str:

@@ -41,23 +41,20 @@ def _decoded(data: bytes) -> str:
     for mark, encoding in _MARKS:
         if data.startswith(mark):
             return data[len(mark) :].decode(encoding, errors="replace")
-    for encoding in (*_declared(data), "utf-8"):
+    found = _ENCODING.search(data[:_HEAD])
+    try:
+        name = codecs.lookup(found[1].decode()).name if found else ""
+    except LookupError:
+        name = ""
+    # Only encodings of text in which ASCII is itself: others, as idna or unicode_escape, would
+    # change the tags.
+    declared = [name] if name.startswith(_EXTENDED_ASCII) else []
+    for encoding in (*declared, "utf-8"):
         try:
             return data.decode(encoding)
         except UnicodeDecodeError:
             continue
     return data.decode("latin-1")
-
-
-def _declared(data: bytes) -> tuple[str, ...]:
-    """Return the declared encoding where Python knows it as one of text in which ASCII is itself:
-    others, as idna or unicode_escape, would change the tags."""
-    found = _ENCODING.search(data[:_HEAD])
-    try:
-        name = codecs.lookup(found[1].decode()).name if found else ""
-    except LookupError:
-        return ()
-    return (name,) if name.startswith(_EXTENDED_ASCII) else ()
 
 
 LARGEST_FILE: Final = 64 * 2**20

@@ -49,13 +49,6 @@ def factors_of_motions(
     )
 
 
-def _square(R: Array) -> Array:
-    """Factor in C order, completed to a square by rows of zeros."""
-    out = np.zeros((R.shape[1], R.shape[1]))
-    out[: len(R)] = R
-    return out
-
-
 def _accumulated(
     regression: MeasuredRegressor,
     motion: Trajectory,
@@ -69,9 +62,12 @@ def _accumulated(
     if isinstance(regression, Regression) and len(motion) >= widest:
         library = regression.library
         if library is not None:
-            factors = [_square(R) for R in factors]
-            library.update_factors(layout_of(regression, rows), motion, b, factors)
-            return factors
+            # In C order, completed to squares by rows of zeros.
+            squares = [np.zeros((R.shape[1], R.shape[1])) for R in factors]
+            for square, R in zip(squares, factors, strict=True):
+                square[: len(R)] = R
+            library.update_factors(layout_of(regression, rows), motion, b, squares)
+            return squares
     for block in regression.blocks(motion):
         # C order here is Fortran order of the transpose, which LAPACK reads without a copy.
         factors = [

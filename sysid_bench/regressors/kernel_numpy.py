@@ -82,18 +82,15 @@ def newton_euler(tree: Tree, phi: Array, motion: Trajectory) -> Array:
     for part in blocks(motion):
         states = link_motions(tree, motion.q[part].T, motion.v[part].T, motion.a[part].T)
         for link, state, link_phi in zip(tree.links, states, phi, strict=True):
-            if link_phi.any():
-                tau[part, link.dofs] += np.einsum("kin,in->nk", state.ZU, _wrench(state, link_phi))
+            if not link_phi.any():
+                continue
+            wrench = np.zeros((6, state.w.shape[1]))  # A phi
+            columns = entries(state.w, state.alpha, state.d)
+            for parameter, column in zip(link_phi, columns, strict=True):
+                for row, value in column:
+                    wrench[row] += parameter * value
+            tau[part, link.dofs] += np.einsum("kin,in->nk", state.ZU, wrench)
     return tau
-
-
-def _wrench(state: LinkMotion, phi: Array) -> Array:
-    """Wrench A phi (6, n) of one link."""
-    wrench = np.zeros((6, state.w.shape[1]))
-    for parameter, column in zip(phi, entries(state.w, state.alpha, state.d), strict=True):
-        for row, value in column:
-            wrench[row] += parameter * value
-    return wrench
 
 
 def _through_joints(link: Link, state: LinkMotion, q: Array, v: Array, a: Array) -> LinkMotion:

@@ -182,8 +182,16 @@ def regression(
         if tree.carrier[body] >= 0:  # a body welded to the world loads no joint
             weight = tree.X[body][:, parameter]
             weights.setdefault(int(tree.carrier[body]), []).append((index, weight))
-    links = tuple(_link_columns(link, weights[link]) for link in sorted(weights))
-    return Regression(tree, rows, tuple(columns), links, tuple(terms))
+    links = []
+    for link in sorted(weights):
+        indices = np.array([index for index, _ in weights[link]])
+        mix = np.array([weight for _, weight in weights[link]])
+        # Raw columns that no parameter uses are not computed.
+        raw = tuple(int(c) for c in np.flatnonzero(mix.any(axis=0)))
+        mix = mix[:, raw]
+        identity = mix.shape[0] == mix.shape[1] and np.array_equal(mix, np.eye(len(raw)))
+        links.append(LinkColumns(link, raw, None if identity else mix, indices))
+    return Regression(tree, rows, tuple(columns), tuple(links), tuple(terms))
 
 
 def _term_column(
@@ -201,13 +209,3 @@ def _term_column(
     suffix = SUFFIX["viscous" if other is not None else term]
     reference = float(robot.joint_terms.spring_reference[dof]) if term == "spring" else 0.0
     return TermColumn(index, dof, suffix, joint.qadr, reference, dof if other is None else other)
-
-
-def _link_columns(link: int, weights: list[tuple[int, Array]]) -> LinkColumns:
-    indices = np.array([index for index, _ in weights])
-    mix = np.array([weight for _, weight in weights])
-    # Raw columns that no parameter uses are not computed.
-    raw = tuple(int(c) for c in np.flatnonzero(mix.any(axis=0)))
-    mix = mix[:, raw]
-    identity = mix.shape[0] == mix.shape[1] and np.array_equal(mix, np.eye(len(raw)))
-    return LinkColumns(link, raw, None if identity else mix, indices)

@@ -34,22 +34,13 @@ def body_regressor() -> sp.Matrix:
     origin.
     """
     twist, rate = sp.Matrix([W, V]), sp.Matrix([DW, DV])
-    G = _spatial_inertia()
-    wrench = G * rate - _adjoint_transpose() * G * twist
-    return wrench.jacobian(PHI).applyfunc(sp.expand)
-
-
-def _spatial_inertia() -> sp.Matrix:
-    """Spatial inertia G (6, 6) of phi, for twists V = [w; v]."""
     m, hx, hy, hz, xx, xy, xz, yy, yz, zz = PHI
     inertia = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     h = skew(sp.Matrix([hx, hy, hz]))
-    return sp.Matrix(sp.BlockMatrix([[inertia, h], [-h, m * sp.eye(3)]]))
-
-
-def _adjoint_transpose() -> sp.Matrix:
-    """ad(V)^T (6, 6), with the sign convention of the module's docstring."""
-    return sp.Matrix(sp.BlockMatrix([[-skew(W), -skew(V)], [sp.zeros(3), -skew(W)]]))
+    G = sp.Matrix(sp.BlockMatrix([[inertia, h], [-h, m * sp.eye(3)]]))
+    adjoint_transpose = sp.Matrix(sp.BlockMatrix([[-skew(W), -skew(V)], [sp.zeros(3), -skew(W)]]))
+    wrench = G * rate - adjoint_transpose * G * twist
+    return wrench.jacobian(PHI).applyfunc(sp.expand)
 
 
 def with_point_acceleration(A: sp.Matrix) -> sp.Matrix:

@@ -153,6 +153,7 @@ def with_commanded_torque(log: LogDescription, samples: Samples, grid: Grid) -> 
     whole: dict[str, Any] = {
         name: _without_gaps(x, held=name in TOLD) for name, x in samples.signals.items()
     }
+    # Delays count samples of the file, whose stamps may jitter about their rate.
     rate = 1.0 / float(np.median(np.diff(grid.t)))
     commands = _commands(log, log.tau.pd, replace(samples, **whole), rate)
     return replace(samples, tau=commands.torque(_stated_delay(log) or 0.0))

@@ -131,18 +131,6 @@ def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate:
     return q
 
 
-def _require_periods(recording: Recording, filter: Filter) -> None:
-    """Raise UsageError unless the recording holds whole periods, as the series assumes."""
-    # An incomplete period makes the series jump at its end, and its derivatives ring everywhere.
-    samples = 0.0 if recording.period is None else recording.period * recording.rate
-    if samples == 0.0 or abs(len(recording) / samples - round(len(recording) / samples)) > 1e-9:
-        period = "no period" if recording.period is None else f"periods of {recording.period:g} s"
-        raise UsageError(
-            f"{filter} needs whole periods; {len(recording)} samples at {recording.rate:g} Hz have "
-            f"{period}. Use a periodic excitation, or the filter 'butter'."
-        )
-
-
 def _rates(q: Array, joints: tuple[Joint, ...], dq: Array) -> Array:
     """Return v (N, nv) from q and dq/dt (N, nq); for quaternions the angular velocity in the body
     frame, 2 conj(q) dq/dt."""

@@ -164,6 +164,7 @@ def _longest_increasing(stamps: list[float]) -> list[int]:
     ends: list[float] = []  # smallest end of a series of each length
     at: list[int] = []
     before = [-1] * len(stamps)
+    # Patience sorting, O(n log n).
     for i, stamp in enumerate(stamps):
         length = bisect_left(ends, stamp)
         if length < len(ends) and ends[length] == stamp:

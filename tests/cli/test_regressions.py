@@ -147,11 +147,11 @@ def test_a_kernel_that_is_twice_as_slow_is_named(sound: Path, tmp_path: Path) ->
         sound, folder, symlinks=True, ignore=shutil.ignore_patterns("__pycache__", ".python")
     )
     (folder / "t.toml").write_text(many_repeats(small_suite(tuple(ROBOTS))))
-    file, call = folder / "sysid_bench/regressors/regression.py", "values = self._values(motion)"
+    file, call = folder / "sysid_bench/regressors/regression.py", "values = self._values(span)"
     text = file.read_text()
     assert text.count(call) == 1
     verdicts = {}
-    for name, planted in (("first", call), ("slow", f"self._values(motion); {call}")):
+    for name, planted in (("first", call), ("slow", f"self._values(span); {call}")):
         file.write_text(text.replace(call, planted))
         done = execute(folder, "sysid_bench", "run", "t.toml", "-o", f"{name}-times", "-j", "1")
         assert done.returncode == 0, done.stderr

@@ -52,6 +52,16 @@ BASE: Final = ExperimentSpec(
 )
 
 
+@dataclass(frozen=True)
+class Law:
+    """The effect of a plug-in author: the same law for every robot."""
+
+    law: Any
+
+    def prepare(self, robot: RobotModel) -> Any:
+        return self.law
+
+
 def robot_of(source: str, payload: str | Mapping[str, Any] = "none") -> RobotModel:
     """A robot by name or by its file in the folder `models`."""
     return subject_of(source, payload).robot

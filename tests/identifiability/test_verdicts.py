@@ -27,7 +27,7 @@ from sysid_bench.identifiability.nullspace import parameter_nullspace, structura
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, BaseMap
-from tests.identifiability.subspace_distance import subspace_distance
+from tests.closeness import subspace_distance
 from tests.robots import NAMED, named_robot, random_robot
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -17,7 +17,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array
-from tests.identifiability.subspace_distance import subspace_distance
+from tests.closeness import subspace_distance
 from tests.robots import robot_of, states
 
 HEAD = "link,joint,prev,a,alpha,d,theta,mass,com,size\n"

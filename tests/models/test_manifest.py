@@ -1,6 +1,7 @@
 """A manifest says what a robot is; each mistake in it is named, with what was nearest."""
 
 import re
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,8 @@ import pytest
 from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, SysidBenchError, UsageError
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import find_manifest, read_manifest
+from sysid_bench.models.manifest import JointTerms, find_manifest, read_manifest
+from sysid_bench.models.writing.manifest_writer import manifest_text
 from tests.robots import NAMED, named_robot
 
 URDF = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="1"/>
@@ -228,3 +230,24 @@ def test_a_file_of_another_kind_is_no_crash(tmp_path: Path) -> None:
     file.write_bytes(bytes(range(256)))
     with pytest.raises(SysidBenchError):
         load_robot(file)
+
+
+OTHERS = ("path", "manifest_file", "dh", "paper")
+"""Fields that belong to the original file."""
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_a_written_manifest_reads_back_as_given(name: str, tmp_path: Path) -> None:
+    terms = JointTerms(viscous=0.1 + 0.2, offset=-1e-3, spring=-2.0, viscous_coupling={"b": 0.5})
+    manifest = replace(
+        find_manifest(name), joints={"a": terms}, locked={"c": 0.25}, massless=("d",),
+        gravity=(0.0, 9.81, 0.0), couplings=False, assets=tmp_path,
+    )  # fmt: skip
+    (tmp_path / "model.xml").write_text("<mujoco/>")
+    file = tmp_path / "robot.toml"
+    file.write_text(manifest_text(manifest, "model.xml"))
+    again = read_manifest(file)
+    for field in fields(manifest):
+        if field.name not in OTHERS:
+            assert getattr(again, field.name) == getattr(manifest, field.name), field.name
+    assert again.path == tmp_path / "model.xml"

@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pytest
 import tomlkit
 from scipy.io import savemat
 
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log import Log, read_log
+from sysid_bench.signals.log_description import read_description
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array, Oracle
@@ -97,6 +100,38 @@ def write(
     path.write_text(tomlkit.dumps(text))
     assert tomllib.loads(path.read_text()).keys() == text.keys()
     return path
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A robot of hinges and slides, and a folder for its recordings."""
+
+    robot: RobotModel
+    folder: Path
+
+    def write(self, log: Recorded, kind: str = "csv", name: str = "run", **changed: Any) -> Path:
+        """A recorded file and its description."""
+        return write(self.folder, log, kind, name, **changed)
+
+    def read_file(self, path: Path) -> Log:
+        """The recording of a description."""
+        return read_log(read_description(path), self.robot)
+
+    def read(self, log: Recorded, kind: str = "csv", name: str = "run", **changed: Any) -> Log:
+        """A recording that was written, read again."""
+        return self.read_file(self.write(log, kind, name, **changed))
+
+    def same(self, got: Log, log: Recorded, atol: float = 1e-9) -> None:
+        """Fail unless the signals come back."""
+        at = [joint.qadr for joint in self.robot.joints]
+        assert got.recording.v is not None
+        for name, x, y in (
+            ("q", got.recording.q[:, at], log.q),
+            ("v", got.recording.v, log.v),
+            ("tau", got.recording.tau, log.tau),
+        ):
+            np.testing.assert_allclose(x, y, rtol=0, atol=atol * np.abs(y).max(), err_msg=name)
+        assert got.recording.rate == pytest.approx(RATE, rel=1e-6)
 
 
 def write_two(folder: Path) -> Path:

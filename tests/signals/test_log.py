@@ -11,13 +11,12 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.log import Log, read_log
+from sysid_bench.signals.log import Log
 from sysid_bench.signals.log_checks import check_findings
-from sysid_bench.signals.log_description import read_description
 from tests.closeness import assert_close
 from tests.robots import named_robot
 
-from .logs import RATE, Recorded, recorded, write
+from .logs import RATE, Recorded, World, recorded
 
 SLIDER = """<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/><geom size=".1" mass="1"/>
 <body pos="0 .2 0"><joint name="slide" type="slide" axis="1 0 0" range="-.3 .3" limited="true"/>
@@ -37,20 +36,9 @@ def log(robot: RobotModel) -> Recorded:
     return recorded(robot)
 
 
-def read(robot: RobotModel, path: Path) -> Log:
-    return read_log(read_description(path), robot)
-
-
-def same(got: Log, log: Recorded, robot: RobotModel, atol: float = 1e-9) -> None:
-    at = [joint.qadr for joint in robot.joints]
-    assert got.recording.v is not None
-    for name, x, y in (
-        ("q", got.recording.q[:, at], log.q),
-        ("v", got.recording.v, log.v),
-        ("tau", got.recording.tau, log.tau),
-    ):
-        np.testing.assert_allclose(x, y, rtol=0, atol=atol * np.abs(y).max(), err_msg=name)
-    assert got.recording.rate == pytest.approx(RATE, rel=1e-6)
+@pytest.fixture
+def world(robot: RobotModel, tmp_path: Path) -> World:
+    return World(robot, tmp_path)
 
 
 def found(got: Log) -> dict[str, int]:
@@ -66,27 +54,25 @@ def refused(got: Log, accepted: tuple[str, ...] = ()) -> str:
 @pytest.mark.parametrize("kind", ["csv", "csv bare", "csv ;", "txt", "npz", "mat", "parquet"])
 @pytest.mark.parametrize("timed", [False, True])
 def test_every_format_gives_the_same_signals(
-    kind: str, timed: bool, robot: RobotModel, log: Recorded, tmp_path: Path
+    world: World, kind: str, timed: bool, log: Recorded
 ) -> None:
     time = 1 if kind in ("csv", "csv bare", "csv ;", "txt") else "t"
     changed: dict[str, Any] = {"time": time, "rate": None} if timed else {}
-    got = read(robot, write(tmp_path, log, kind, **changed))
-    same(got, log, robot)
+    got = world.read(log, kind, **changed)
+    world.same(got, log)
     assert got.findings == ()
     assert got.measured_rate == pytest.approx(RATE, rel=0.01)
 
 
-def test_columns_may_be_named_in_any_order(
-    robot: RobotModel, log: Recorded, tmp_path: Path
-) -> None:
+def test_columns_may_be_named_in_any_order(world: World, log: Recorded) -> None:
     q = {"columns": ["q_tip", " q_turn ", "q_slide"]}
     v = {"columns": [7, 5, 6]}
     tau = {"columns": ["tau_tip", "tau_turn", "tau_slide"]}
     joints = ["tip", "turn", "slide"]
-    same(read(robot, write(tmp_path, log, q=q, v=v, tau=tau, joints=joints)), log, robot)
+    world.same(world.read(log, q=q, v=v, tau=tau, joints=joints), log)
 
 
-def test_units_gains_ratios_and_offsets(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
+def test_units_gains_ratios_and_offsets(world: World, log: Recorded) -> None:
     ratio = np.array([100.0, 1.0, -48.0])
     kt = np.array([0.07, 2.5, 0.05])
     degrees = np.array([180 / np.pi, 1e3, 180 / np.pi])
@@ -97,17 +83,16 @@ def test_units_gains_ratios_and_offsets(robot: RobotModel, log: Recorded, tmp_pa
         v=log.v * ratio * degrees,
         tau=log.tau / ratio / kt * 1e3,
     )
-    path = write(
-        tmp_path,
+    got = world.read(
         motor,
         q={"unit": ["deg", "mm", "deg"], "ratio": ratio.tolist(), "offset": zero.tolist()},
         v={"unit": ["deg/s", "mm/s", "deg/s"], "ratio": ratio.tolist()},
         tau={"unit": "mA", "gain": kt.tolist(), "ratio": ratio.tolist()},
     )
-    same(read(robot, path), log, robot)
+    world.same(got, log)
 
 
-def test_a_transmission_keeps_the_power(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
+def test_a_transmission_keeps_the_power(world: World, log: Recorded) -> None:
     G = np.array([[0.5, 0.0, 0.0], [-0.2, 1.0, 0.3], [0.1, 0.4, -2.0]])
     motor = replace(
         log,
@@ -116,12 +101,10 @@ def test_a_transmission_keeps_the_power(robot: RobotModel, log: Recorded, tmp_pa
         tau=log.tau @ G,  # tau_motor = G' tau
     )
     assert_close((motor.tau * motor.v).sum(axis=1), (log.tau * log.v).sum(axis=1))
-    same(read(robot, write(tmp_path, motor, transmission=G.tolist())), log, robot)
+    world.same(world.read(motor, transmission=G.tolist()), log)
 
 
-def test_a_coordinate_that_is_no_joint_is_left_out(
-    robot: RobotModel, log: Recorded, tmp_path: Path
-) -> None:
+def test_a_coordinate_that_is_no_joint_is_left_out(world: World, log: Recorded) -> None:
     extra = np.sin(log.t)[:, None]
     wide = Recorded(
         (*log.joints, "jaw"),
@@ -130,13 +113,13 @@ def test_a_coordinate_that_is_no_joint_is_left_out(
         np.hstack([log.v, np.cos(log.t)[:, None]]),
         np.hstack([log.tau, extra]),
     )
-    path = write(tmp_path, wide, joints=[*log.joints, "-"])
-    same(read(robot, path), log, robot)
+    path = world.write(wide, joints=[*log.joints, "-"])
+    world.same(world.read_file(path), log)
     with pytest.raises(UsageError, match="jaw"):
-        read(robot, write(tmp_path, wide, name="named"))
+        world.read(wide, name="named")
 
 
-def test_a_flat_list_of_numbers_is_folded(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
+def test_a_flat_list_of_numbers_is_folded(world: World, log: Recorded, tmp_path: Path) -> None:
     for name, x in (("q", log.q), ("v", log.v), ("tau", log.tau)):
         np.savetxt(tmp_path / f"{name}.txt", x.ravel(), fmt="%.17g")
     np.savetxt(tmp_path / "t.txt", log.t * 1e3, fmt="%.17g")
@@ -145,41 +128,39 @@ def test_a_flat_list_of_numbers_is_folded(robot: RobotModel, log: Recorded, tmp_
         for name in ("q", "v", "tau")
     }
     time = {"file": "t.txt", "column": 1, "unit": "ms"}
-    same(read(robot, write(tmp_path, log, rate=None, time=time, file=None, **signals)), log, robot)
+    world.same(world.read(log, rate=None, time=time, file=None, **signals), log)
 
 
-def test_rows_are_counted_from_one(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
-    got = read(robot, write(tmp_path, log, rows=[11, 210]))
+def test_rows_are_counted_from_one(world: World, log: Recorded) -> None:
+    got = world.read(log, rows=[11, 210])
     part = Recorded(log.joints, log.t[10:210], log.q[10:210], log.v[10:210], log.tau[10:210])
-    same(got, part, robot)
+    world.same(got, part)
     with pytest.raises(UsageError, match="there are 800 samples"):
-        read(robot, write(tmp_path, log, rows=[1, 10**6]))
+        world.read(log, rows=[1, 10**6])
 
 
 @pytest.mark.parametrize("factor", [0.25, 0.5, 0.9, 1.1, 2.0, 5.0])
 def test_a_wrong_rate_is_refused_unless_accepted(
-    factor: float, robot: RobotModel, log: Recorded, tmp_path: Path
+    world: World, factor: float, log: Recorded
 ) -> None:
-    got = read(robot, write(tmp_path, log, rate=f"{factor * RATE} Hz"))
+    got = world.read(log, rate=f"{factor * RATE} Hz")
     assert got.measured_rate == pytest.approx(RATE, rel=0.02)
     assert "--accept rate" in refused(got)
     check_findings(got.findings, ("rate",), "")
     noisy = replace(log, v=log.v + np.random.default_rng(0).normal(size=log.v.shape) * log.v.std())
-    got = read(robot, write(tmp_path, noisy, rate=f"{factor * RATE} Hz", name="noisy"))
+    got = world.read(noisy, rate=f"{factor * RATE} Hz", name="noisy")
     assert got.measured_rate == pytest.approx(RATE, rel=0.04)
     assert f"{factor * RATE:g} Hz" in refused(got)
 
 
 @pytest.mark.parametrize("factor", [0.25, 0.5, 2.0, 1e3])
-def test_stamps_against_a_declared_rate(
-    factor: float, robot: RobotModel, log: Recorded, tmp_path: Path
-) -> None:
-    got = read(robot, write(tmp_path, replace(log, t=log.t * factor), time=1))
+def test_stamps_against_a_declared_rate(world: World, factor: float, log: Recorded) -> None:
+    got = world.read(replace(log, t=log.t * factor), time=1)
     assert "time stamps" in refused(got)
 
 
 def test_a_velocity_in_other_units_or_of_another_joint_is_refused(
-    robot: RobotModel, log: Recorded, tmp_path: Path
+    world: World, log: Recorded
 ) -> None:
     reported = {
         "degrees": (log.v * 180 / np.pi, "rate"),
@@ -187,103 +168,97 @@ def test_a_velocity_in_other_units_or_of_another_joint_is_refused(
         "sign": (log.v * np.array([1, 1, -1]), "velocity"),
     }
     for name, (v, finding) in reported.items():
-        got = read(robot, write(tmp_path, replace(log, v=v), name=name))
+        got = world.read(replace(log, v=v), name=name)
         assert finding in refused(got, ("units",)), name
         assert "'tip'" in refused(got) or name == "degrees"
 
 
-def test_exchanged_columns_are_refused(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
+def test_exchanged_columns_are_refused(world: World, log: Recorded) -> None:
     swapped = replace(log, v=log.v[:, [1, 0, 2]])
-    reported = refused(read(robot, write(tmp_path, swapped)))
+    reported = refused(world.read(swapped))
     assert f"{log.joints[0]!r} moves as v of joint {log.joints[1]!r}" in reported
 
 
-def test_positions_in_other_units_are_refused(
-    robot: RobotModel, log: Recorded, tmp_path: Path
-) -> None:
+def test_positions_in_other_units_are_refused(world: World, log: Recorded) -> None:
     for name, q in (
         ("degrees", log.q * 180 / np.pi),
         ("millimetres", log.q * np.array([1, 1e3, 1])),
     ):
-        got = read(robot, write(tmp_path, replace(log, q=q), name=name, v=None))
+        got = world.read(replace(log, q=q), name=name, v=None)
         assert "--accept units" in refused(got)
 
 
-def test_a_limit_is_reported_and_passes(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
+def test_a_limit_is_reported_and_passes(world: World, log: Recorded) -> None:
     q = log.q + np.array([0.0, 0.2, 0.0])
-    got = read(robot, write(tmp_path, replace(log, q=q)))
+    got = world.read(replace(log, q=q))
     assert found(got) == {"limits": int((q[:, 1] > 0.3).sum())}
     check_findings(got.findings, (), "")
 
 
-def test_held_lost_and_empty_samples_are_counted(
-    robot: RobotModel, log: Recorded, tmp_path: Path
-) -> None:
+def test_held_lost_and_empty_samples_are_counted(world: World, log: Recorded) -> None:
     rng = np.random.default_rng(3)
     at = np.sort(rng.choice(np.arange(20, 780, 10), 40, replace=False))
     held = replace(log, q=log.q.copy(), v=log.v.copy(), tau=log.tau.copy())
     for x in (held.q, held.v, held.tau):
         x[at] = x[at - 1]
-    got = read(robot, write(tmp_path, held, name="held"))
+    got = world.read(held, name="held")
     assert found(got) == {"held": 40}
-    same(got, log, robot, atol=0.02)  # bridged, not held: a held q is wrong by a step
+    world.same(got, log, atol=0.02)  # bridged, not held: a held q is wrong by a step
 
     empty = replace(log, q=log.q.copy(), tau=log.tau.copy())
     empty.q[at[:10], 0], empty.tau[at[10:20], 1] = np.nan, 1e293
-    got = read(robot, write(tmp_path, empty, name="empty"))
+    got = world.read(empty, name="empty")
     assert found(got) == {"non-finite": 20}
-    same(got, log, robot, atol=0.02)
+    world.same(got, log, atol=0.02)
 
     kept = np.setdiff1d(np.arange(len(log.t)), at)
     fewer = Recorded(log.joints, log.t[kept], log.q[kept], log.v[kept], log.tau[kept])
-    got = read(robot, write(tmp_path, fewer, name="lost", time=1, rate=None))
+    got = world.read(fewer, name="lost", time=1, rate=None)
     assert found(got) == {"lost": 40}
-    same(got, log, robot, atol=0.02)
-    got = read(robot, write(tmp_path, fewer, name="unstamped"))
+    world.same(got, log, atol=0.02)
+    got = world.read(fewer, name="unstamped")
     quick = int(found(got)["lost"])
     assert 10 <= quick <= 40  # without stamps those of quick motion alone can be seen
 
 
-def test_stamps_that_jitter_repeat_or_run_backwards(
-    robot: RobotModel, log: Recorded, tmp_path: Path
-) -> None:
+def test_stamps_that_jitter_repeat_or_run_backwards(world: World, log: Recorded) -> None:
     rng = np.random.default_rng(0)
     jittered = replace(log, t=log.t + 0.2 / RATE * rng.uniform(-1, 1, len(log.t)))
-    got = read(robot, write(tmp_path, jittered, time=1, rate=f"{RATE} Hz"))
+    got = world.read(jittered, time=1, rate=f"{RATE} Hz")
     assert got.findings == ()
     t = log.t.copy()
     t[100], t[200] = t[99], t[150]
-    got = read(robot, write(tmp_path, replace(log, t=t), name="stale", time=1, rate=None))
+    got = world.read(replace(log, t=t), name="stale", time=1, rate=None)
     assert [f.count for f in got.findings if f.name == "time"] == [1, 1]
-    same(got, log, robot, atol=0.02)
+    world.same(got, log, atol=0.02)
     t = log.t.copy()
     t[:300] -= 1e9
     with pytest.raises(UsageError, match=r"gap of 1e\+09 s"):
-        read(robot, write(tmp_path, replace(log, t=t), name="gap", time=1, rate=None))
+        world.read(replace(log, t=t), name="gap", time=1, rate=None)
     backwards = replace(log, t=log.t[::-1].copy())
     with pytest.raises(UsageError, match="rise"):
-        read(robot, write(tmp_path, backwards, name="backwards", time=1, rate=None))
+        world.read(backwards, name="backwards", time=1, rate=None)
 
 
 def test_a_line_that_broke_off_is_reported_a_wrong_one_refused(
-    robot: RobotModel, log: Recorded, tmp_path: Path
+    world: World, log: Recorded, tmp_path: Path
 ) -> None:
-    path = write(tmp_path, log)
+    path = world.write(log)
     file = tmp_path / "run.csv"
     text = file.read_text()
     file.write_text(text + "4.0,1.0,0.")
-    got = read(robot, path)
+    got = world.read_file(path)
     assert found(got) == {"non-finite": 1}
-    same(got, log, robot)
+    world.same(got, log)
     lines = text.splitlines()
     lines[41] = lines[41].replace(",", ",x", 1)
     file.write_text("\n".join(lines))
     with pytest.raises(UsageError, match=r"line 42, column 2: 'x.*' is not a number"):
-        read(robot, path)
+        world.read_file(path)
     lines[41] = "1.0,2.0"
     file.write_text("\n".join(lines))
     with pytest.raises(UsageError, match="line 42 has 2 columns"):
-        read(robot, path)
+        world.read_file(path)
 
 
 WRONG: list[tuple[dict[str, Any], str]] = [
@@ -315,10 +290,10 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("changed", "reported"), WRONG, ids=[reported for _, reported in WRONG])
 def test_what_cannot_be_is_said_in_a_sentence(
-    changed: dict[str, Any], reported: str, robot: RobotModel, log: Recorded, tmp_path: Path
+    world: World, changed: dict[str, Any], reported: str, log: Recorded
 ) -> None:
     with pytest.raises(UsageError) as error:
-        read(robot, write(tmp_path, log, **changed))
+        world.read(log, **changed)
     assert reported in str(error.value)
     assert "run." in str(error.value) or reported == "nowhere.csv"
 
@@ -343,6 +318,6 @@ def test_real_recordings_agree_with_their_rate(data_folder: Path, tmp_path: Path
         )
         path = tmp_path / f"{rate}.toml"
         path.write_text(text)
-        got = read(arm, path)
+        got = World(arm, tmp_path).read_file(path)
         assert got.measured_rate == pytest.approx(200.0, rel=0.02)
         assert ("rate" in {f.name for f in got.findings if f.contradiction}) != right

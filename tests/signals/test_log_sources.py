@@ -11,15 +11,14 @@ import pytest
 from sysid_bench import identify, log_of
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.log import Log, read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_keys import preset_keys
 from sysid_bench.signals.log_source import merge_sources
 from sysid_bench.signals.time_base import check_times
 from tests.robots import named_robot
 
-from .logs import RATE, Recorded, recorded, write
-from .test_log import found, refused, same
+from .logs import RATE, Recorded, World, recorded, write
+from .test_log import found, refused
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +31,9 @@ def log(robot: RobotModel) -> Recorded:
     return recorded(robot)
 
 
-def read(robot: RobotModel, path: Path) -> Log:
-    return read_log(read_description(path), robot)
+@pytest.fixture
+def world(robot: RobotModel, tmp_path: Path) -> World:
+    return World(robot, tmp_path)
 
 
 def split(folder: Path, log: Recorded, shift: float, rate: float, origin: float = 0.0) -> Path:
@@ -61,7 +61,7 @@ def split(folder: Path, log: Recorded, shift: float, rate: float, origin: float 
 
 @pytest.mark.parametrize(("shift", "rate"), [(0.0, 200.0), (3.5, 500.0), (-0.25, 1000.0)])
 def test_files_are_joined_by_name_and_time(
-    shift: float, rate: float, robot: RobotModel, log: Recorded, tmp_path: Path
+    world: World, shift: float, rate: float, log: Recorded, tmp_path: Path
 ) -> None:
     path = split(tmp_path, log, shift, rate)
     made = merge_sources(read_description(path))
@@ -71,7 +71,7 @@ def test_files_are_joined_by_name_and_time(
     np.testing.assert_array_equal(columns["q"], log.q[inside])
     np.testing.assert_allclose(columns["v"], log.v[inside], atol=0.02 * np.abs(log.v).max())
     np.testing.assert_allclose(columns["tau"], log.tau[inside], atol=0.02 * np.abs(log.tau).max())
-    got = read(robot, path)
+    got = world.read_file(path)
     (finding,) = [f for f in got.findings if f.name == "joined"]
     assert "linear for signals" in finding.text
     assert finding.count == len(log.t) - got.samples
@@ -92,7 +92,7 @@ def test_a_command_holds_its_last_value(log: Recorded, tmp_path: Path) -> None:
 
 
 def test_files_that_cannot_be_joined_are_refused(
-    robot: RobotModel, log: Recorded, tmp_path: Path
+    world: World, log: Recorded, tmp_path: Path
 ) -> None:
     path = split(tmp_path, log, 0.0, 200.0)
     text = path.read_text()
@@ -106,20 +106,20 @@ def test_files_that_cannot_be_joined_are_refused(
         assert changed != text
         path.write_text(changed)
         with pytest.raises(UsageError, match=reported):
-            read(robot, path)
+            world.read_file(path)
     frame = pd.read_parquet(tmp_path / "tau.parquet")
     frame["q_spin"] = 0.0
     frame.to_parquet(tmp_path / "tau.parquet")
     path.write_text(text)
     with pytest.raises(UsageError, match=r"q\.csv and tau\.parquet both have a column 'q_spin'"):
-        read(robot, path)
+        world.read_file(path)
 
 
 # --- Time stamps ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_wild_stamp_costs_its_row(seed: int, tmp_path: Path) -> None:
+def test_a_wild_stamp_costs_its_row(seed: int) -> None:
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.choice([1.0, 1.0, 1.0, 2.0, 3.0], 2000)) / RATE
     at = rng.choice(2000, 20, replace=False)
@@ -135,24 +135,22 @@ def test_a_wild_stamp_costs_its_row(seed: int, tmp_path: Path) -> None:
     assert not any(finding.contradiction for finding in findings)
 
 
-def test_corrupt_first_rows_cost_themselves(
-    robot: RobotModel, log: Recorded, tmp_path: Path
-) -> None:
+def test_corrupt_first_rows_cost_themselves(world: World, log: Recorded) -> None:
     t = log.t.copy()
     t[:9] = [1e293, -4e8, 7e200, 0.0, 5e12, -1.0, 3e30, 2e9, 1e99]
-    got = read(robot, write(tmp_path, replace(log, t=t), time=1, rate=None))
+    got = world.read(replace(log, t=t), time=1, rate=None)
     assert found(got)["time"] <= 9
     assert len(got.recording.t) >= len(log.t) - 12
 
 
-def test_stamps_in_milliseconds_are_named(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
-    got = read(robot, write(tmp_path, replace(log, t=log.t * 1e3), time=1, rate=None))
+def test_stamps_in_milliseconds_are_named(world: World, log: Recorded) -> None:
+    got = world.read(replace(log, t=log.t * 1e3), time=1, rate=None)
     assert "step by 5 s" in refused(got, ("rate", "units", "velocity"))
-    got = read(robot, write(tmp_path, replace(log, t=log.t * 1e3), time=1))
+    got = world.read(replace(log, t=log.t * 1e3), time=1)
     assert "a rate of 200 Hz is declared" in refused(got)
 
 
-def test_stamps_in_two_columns_are_added(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
+def test_stamps_in_two_columns_are_added(world: World, log: Recorded, tmp_path: Path) -> None:
     names = [f"{s}_{j}" for s in ("q", "v", "tau") for j in log.joints]
     frame = pd.DataFrame(np.hstack([log.q, log.v, log.tau]), columns=names)
     whole = np.floor(log.t)
@@ -162,8 +160,8 @@ def test_stamps_in_two_columns_are_added(robot: RobotModel, log: Recorded, tmp_p
         s: {"columns": [f"{s}_{j}" for j in log.joints]} for s in ("q", "v", "tau")
     }
     time = {"column": ["sec", "nanosec"], "unit": ["s", "ns"]}
-    path = write(tmp_path, log, name="two", file="run.csv", time=time, rate=None, **signals)
-    same(read(robot, path), log, robot, atol=1e-6)
+    path = world.write(log, name="two", file="run.csv", time=time, rate=None, **signals)
+    world.same(world.read_file(path), log, atol=1e-6)
 
 
 # --- Presets -------------------------------------------------------------------------------------
@@ -203,32 +201,30 @@ def test_a_preset_reads_the_file_of_its_recorder(name: str, tmp_path: Path) -> N
     gain = "tau = { gain = [1, 1, 1, 1, 1, 1] }\n" if name == "ur-rtde" else ""
     joints = f"joints = {list(log.joints)}\n".replace("'", '"')
     path.write_text(f'file = "run.csv"\npreset = "{name}"\n{joints}{gain}')
-    got = read(arm, path)
+    got = World(arm, tmp_path).read_file(path)
     np.testing.assert_allclose(got.recording.tau, log.tau, atol=1e-6 * np.abs(log.tau).max())
     np.testing.assert_allclose(got.recording.q, log.q, atol=1e-6)
     # Without its name the preset is proposed, and never taken silently.
     path.write_text(f'file = "run.csv"\nrate = "200 Hz"\n{joints}')
     with pytest.raises(UsageError, match=f"q is missing.*preset = '{name}'"):
-        read(arm, path)
+        World(arm, tmp_path).read_file(path)
     path.write_text(
         f'file = "run.csv"\nrate = "200 Hz"\n{joints}q.columns = "a"\ntau.columns = "b"'
     )
     with pytest.raises(UsageError, match=f"preset = '{name}'"):
-        read(arm, path)
+        World(arm, tmp_path).read_file(path)
 
 
-def test_wrong_presets_and_patterns_are_refused(tmp_path: Path, robot: RobotModel) -> None:
-    path = write(tmp_path, recorded(robot), preset="ur-rtd")
+def test_wrong_presets_and_patterns_are_refused(world: World, log: Recorded) -> None:
     with pytest.raises(UsageError, match="'ur-rtde'"):
-        read(robot, path)
+        world.read(log, preset="ur-rtd")
     for pattern, reported in {
         "q_(": "one group of digits",
         "q_.*": "one group of digits",
         r"x(\d+)": "no column matches",
     }.items():
-        path = write(tmp_path, recorded(robot), q={"columns": [], "match": pattern})
         with pytest.raises(UsageError, match=reported):
-            read(robot, path)
+            world.read(log, q={"columns": [], "match": pattern})
 
 
 # --- Numbers in memory ---------------------------------------------------------------------------
@@ -239,12 +235,9 @@ def same_answer(got: Any, wanted: Any, rel: float = 1e-9) -> None:
         assert got[key] == pytest.approx(wanted[key], rel=rel)
 
 
-def test_frames_and_arrays_give_the_answer_of_the_file(
-    robot: RobotModel, log: Recorded, tmp_path: Path
-) -> None:
-    del robot
+def test_frames_and_arrays_give_the_answer_of_the_file(world: World, log: Recorded) -> None:
     options: dict[str, Any] = {"filter": "none", "derivatives": "from v", "estimator": "ols"}
-    wanted = identify("scara", log=write(tmp_path, log), **options)
+    wanted = identify("scara", log=world.write(log), **options)
     arrays: dict[str, Any] = {"q": log.q, "v": log.v, "tau": log.tau}
     described = log_of(arrays, {"joints": log.joints, "rate": RATE})
     same_answer(identify("scara", log=described, **options), wanted)
@@ -274,8 +267,6 @@ def test_numbers_that_are_not_a_log_are_refused(log: Recorded) -> None:
         log_of({"q": ["a", "b"]}, {"joints": ["a"]})
 
 
-def test_stamps_that_no_recorder_writes_are_refused(tmp_path: Path, robot: RobotModel) -> None:
-    log = recorded(robot)
-    path = write(tmp_path, replace(log, t=1e-300 * log.t), time=1, rate=None)
+def test_stamps_that_no_recorder_writes_are_refused(world: World, log: Recorded) -> None:
     with pytest.raises(UsageError, match="unit of time"):
-        read_log(read_description(path), robot)
+        world.read(replace(log, t=1e-300 * log.t), time=1, rate=None)

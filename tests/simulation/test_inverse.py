@@ -10,7 +10,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse, inverse_torque
 from sysid_bench.simulation.plant import Plant, plant_of, set_inertia
 from sysid_bench.types import Array, Trajectory
-from tests.experiments.experiment_world import OWN, RICH, SHIPPED, robot_of
+from tests.experiments.experiment_world import OWN, RICH, SHIPPED, Law, robot_of
 
 
 def motion_of(robot: RobotModel, count: int = 40) -> Trajectory:
@@ -81,16 +81,6 @@ def test_long_motions_are_the_same_in_chunks() -> None:
             motion.a[k : k + 1],
         )
         np.testing.assert_allclose(torque(plant_of(robot), one)[0], tau[k], rtol=0, atol=1e-12)
-
-
-class Law:
-    """The effect of a plug-in author: the same law for every robot."""
-
-    def __init__(self, law: object) -> None:
-        self.law = law
-
-    def prepare(self, robot: RobotModel) -> object:
-        return self.law
 
 
 def test_effects_are_added_on_top() -> None:

@@ -15,21 +15,11 @@ from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl, commands
 from sysid_bench.types import Array, Controller, Oracle
 from tests.closeness import assert_close
-from tests.experiments.experiment_world import MODELS, RICH, SMOOTH, motion_of, robot_of
+from tests.experiments.experiment_world import MODELS, RICH, SMOOTH, Law, motion_of, robot_of
 
 RATE = 500.0
 LOOP = TrackingControl(rate=RATE)
 FOURIER = {"use": "fourier", "period": "2 s", "cycles": 1}
-
-
-class Law:
-    """The effect of a plug-in author: the same law for every robot."""
-
-    def __init__(self, law: object) -> None:
-        self.law = law
-
-    def prepare(self, robot: RobotModel) -> object:
-        return self.law
 
 
 def zero(t: Array, q: Array, v: Array) -> Array:

@@ -137,24 +137,24 @@ def _recorded_motions(
 
     Raises UnsupportedError for tasks, runs and excitations that allow one motion alone.
     """
-    trainings = noise_free.simulated_motions
+    robots = noise_free.simulated_motions
     if MOTIONS in spec.redrawn:
         # The noise-free part is shared by all repeats, whose motions differ.
-        trainings = tuple(replace(training, spec=spec) for training in trainings)
+        robots = tuple(replace(robot, spec=spec) for robot in robots)
     if "runs" in spec.signals and (spec.motions > 1 or MOTIONS in spec.redrawn):
         raise UnsupportedError("Runs without the payload repeat one motion: leave out runs.")
     if spec.motions > 1 and noise_free.task.cuts:
         raise UnsupportedError(
             f"motions = {spec.motions}: tasks with force/torque sensors take one training motion."
         )
-    if spec.motions > 1 and np.array_equal(trainings[0].commanded.q, trainings[1].commanded.q):
+    if spec.motions > 1 and np.array_equal(robots[0].commanded.q, robots[1].commanded.q):
         raise UnsupportedError(
             f"motions = {spec.motions}: the excitation {spec.excitation['use']!r} gives the same "
             "motion for every seed. Choose one that draws it, as 'fourier', or motions = 1."
         )
     further = (Repetition(i, True, motion_noise_seed(spec, i)) for i in range(1, spec.motions))
     order = [first, *further]
-    return [record(spec, robot, one) for robot, one in zip(trainings, order, strict=True)]
+    return [record(spec, robot, one) for robot, one in zip(robots, order, strict=True)]
 
 
 def _runs(
@@ -163,13 +163,13 @@ def _runs(
     """All recordings of the commanded motion, `main` among them; none where it is the only one."""
     if len(order) == 1:
         return ()
-    carrying = noise_free.simulated
-    robot = load_robot(carrying.loaded.robot.manifest, parse_payload("none"), spec.free_base)
-    bare = replace(carrying, built=built_plant(spec, carrying.loaded, robot))
+    simulated = noise_free.simulated
+    robot = load_robot(simulated.loaded.robot.manifest, parse_payload("none"), spec.free_base)
+    bare = replace(simulated, built=built_plant(spec, simulated.loaded, robot))
     return tuple(
         main
         if one.seed == noise_seed(spec)
-        else Run(one.loaded, record(spec, carrying if one.loaded else bare, one).recording)
+        else Run(one.loaded, record(spec, simulated if one.loaded else bare, one).recording)
         for one in order
     )
 

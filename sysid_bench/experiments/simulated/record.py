@@ -224,7 +224,7 @@ def record(
         **{key: x for key, x in spec.noise.items() if key not in wrench_sensors.WRENCH_NOISE}
     )
     pipeline = pipeline_of(spec.pipeline, spec.signals, simulated.loaded.folder)
-    moved, torque_draws = _moved_under_noise(simulated, noise, repetition.seed)
+    moved, torque_draws = _noisy_run(simulated, noise, repetition.seed)
     # A relative level refers to the exact torque, so that the noise is independent of itself.
     torque_std = noise.torque_std(moved.seen.tau[:: simulated.step_ratio])
     torque_noise = torque_std * noise.torque_noise(torque_draws)
@@ -298,7 +298,7 @@ class _NoisyRun:
         )
 
 
-def _moved_under_noise(
+def _noisy_run(
     simulated: SimulatedRobot, noise: sensors.Noise, seed: int
 ) -> tuple[_NoisyRun, Array]:
     """Move the plant with a loop that sees the errors of its encoders; return the draws (K, n) of

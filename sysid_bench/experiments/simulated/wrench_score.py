@@ -109,11 +109,11 @@ def contact_fields(errors: dict[str, WrenchErrors] | None) -> Row:
         return {}
     true, cad, found = (asdict(errors[name]) for name in ("true", "CAD", "identified"))
 
-    def worst(over: Row, under: Row, *keys: str) -> float | None:
+    def worst(upper: Row, lower: Row, *keys: str) -> float | None:
         """Largest ratio, each of errors in one unit; None where rounding would be divided by
         rounding, or nothing by nothing."""
-        known = [key for key in keys if np.isfinite(over[key]) and under[key] > 1e-9]
-        return max((over[key] / under[key] for key in known), default=None)
+        known = [key for key in keys if np.isfinite(upper[key]) and lower[key] > 1e-9]
+        return max((upper[key] / lower[key] for key in known), default=None)
 
     return {
         "sensed_torque_ratio": worst(found, true, "torque", "slide"),

@@ -122,8 +122,9 @@ def find_difference(
     differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
     # What differs in the true base parameters of the settings that both have.
     parameters = []
-    for key in [key for key in before.parameters if key in after.parameters]:
-        was, now = before.parameters[key], after.parameters[key]
+    for key, was in before.parameters.items():
+        if (now := after.parameters.get(key)) is None:
+            continue
         largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
         same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
         for name in dict.fromkeys((*was, *now)):

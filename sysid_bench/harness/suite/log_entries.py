@@ -99,9 +99,11 @@ def _log(value: Any, info: ValidationInfo) -> Any:
     if context.names.frozen:  # the files of a frozen suite were checked when it was planned
         return value
     use = value if isinstance(value, str) else str(value.get("use", ""))
-    find: Any = find_motion if use.startswith(SCHEME) else log_description
-    # The recordings of a data set need not be here.
-    value_of(lambda: find(use if find is find_motion else value, context.folder or Path()))
+    folder = context.folder or Path()
+    if use.startswith(SCHEME):  # the recordings of a data set need not be here
+        value_of(lambda: find_motion(use, folder))
+    else:
+        value_of(lambda: log_description(value, folder))
     return value
 
 

@@ -91,23 +91,20 @@ class Coupling:
         """Return F (N, m, n) with v_dep = F v_ind at closed q (N, nq)."""
         out = np.zeros((len(q), len(self.dependent), len(self.independent)))
         for group, rows, columns in self._columns:
-            out[:, rows[:, None], columns] = self._followed(group, self._coordinates(group).read(q))
+            coordinates = self._coordinates(group)
+            x = coordinates.read(q)
+            F = group.follow(x)
+            if coordinates.rotations:
+                # Velocities of a rotation are no derivatives of its coordinates: v_dep = V_dep u
+                # and v_ind = V_ind u, so that F = V_dep V_ind^-1.
+                L = np.zeros((len(x), len(group.dofs), len(group.independent)))
+                L[:, group.independent, np.arange(len(group.independent))] = 1.0
+                L[:, group.dependent] = F
+                V = coordinates.rate_columns(x, L).swapaxes(1, 2)
+                solved = np.linalg.solve(V[:, :, group.independent], V[:, :, group.dependent])
+                F = solved.swapaxes(1, 2)
+            out[:, rows[:, None], columns] = F
         return out
-
-    def _followed(self, group: Group, x: Array) -> Array:
-        """F of one group, of velocities: those of a rotation are no derivatives of its
-        coordinates."""
-        F, coordinates = group.follow(x), self._coordinates(group)
-        if not coordinates.rotations:
-            return F
-        L = np.zeros((len(x), len(group.dofs), len(group.independent)))
-        L[:, group.independent, np.arange(len(group.independent))] = 1.0
-        L[:, group.dependent] = F
-        V = coordinates.rate_columns(x, L)
-        # v_dep = V_dep u and v_ind = V_ind u: F = V_dep V_ind^-1.
-        moving = V[:, group.independent].swapaxes(1, 2)
-        solved = np.linalg.solve(moving, V[:, group.dependent].swapaxes(1, 2))
-        return np.asarray(solved.swapaxes(1, 2))
 
     def G(self, q: Array) -> Array:
         """Return G (N, nv, n) with v = G v_ind at closed q (N, nq)."""
@@ -141,7 +138,17 @@ class Coupling:
             start = None if near is None else coordinates.read(near)
             x, good = group.motion_closure(given, start)
             if not good.all():
-                raise self._lost_closure(group, given[int(np.argmin(good))])
+                lost = given[int(np.argmin(good))]
+                least = float(group.condition(group.follow_closure(lost[None])[0])[0])
+                moving = group.dofs[group.independent]
+                pairs = zip(moving, lost + self.q0[moving], strict=True)
+                posture = ", ".join(f"{self.names[dof]} = {value:.4g}" for dof, value in pairs)
+                raise ModelError(
+                    f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is "
+                    f"singular, at {posture} (smallest singular value {least:.2g} on the way "
+                    "there); keep the motion nearer to the reference posture, by limits in the "
+                    "manifest."
+                )
             coordinates.write(x, q)
             F = group.follow(x)
             dx[:, following] = times(F, dx[:, group.independent])
@@ -183,19 +190,6 @@ class Coupling:
 
     def _coordinates(self, group: Group) -> Coordinates:
         return self.coordinates.of(group.dofs)
-
-    def _lost_closure(self, group: Group, given: Array) -> ModelError:
-        x, _ = group.follow_closure(given[None])
-        least = float(group.condition(x)[0])
-        moving = group.dofs[group.independent]
-        pairs = zip(moving, given + self.q0[moving], strict=True)
-        posture = ", ".join(f"{self.names[dof]} = {value:.4g}" for dof, value in pairs)
-        return ModelError(
-            f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is singular, "
-            f"at {posture} (smallest singular value {least:.2g} on "
-            "the way there); keep the motion nearer to the reference posture, by limits in the "
-            "manifest."
-        )
 
 
 def names_of(names: tuple[str, ...], dofs: Array) -> str:

@@ -49,7 +49,15 @@ def equalities_of(mj: mujoco.MjModel) -> Equalities:
     for e in range(mj.neq):
         if not mj.eq_active0[e]:
             continue
-        reason = _reason_without_coupling(mj, e)
+        kind, reason = int(mj.eq_type[e]), ""
+        if kind in (_CONNECT, _WELD):
+            bodies = one, other = [body for body, _, _ in closure_frames(mj, e)]
+            if (mj.body_mocapid[bodies] >= 0).any():
+                reason = "a mocap body is moved by hand"
+            elif not _joints_on(mj, _path(mj, one, other) + _path(mj, other, one)):
+                reason = "its bodies move together already"
+        elif kind not in (_JOINT, _TENDON):
+            reason = "it couples no joints"
         if reason:
             left_out.append(f"equality {_name(mj, e)} left out: {reason}")
             continue
@@ -62,21 +70,6 @@ def select_equalities(spec: mujoco.MjSpec, equalities: Equalities) -> None:
     """Delete all equalities of a spec that are not constraints of the robot's coupling."""
     for equality in [e for e in spec.equalities if e.id not in equalities.ids]:
         spec.delete(equality)
-
-
-def _reason_without_coupling(mj: mujoco.MjModel, e: int) -> str:
-    """The reason why an equality couples no joints; empty where it couples some."""
-    kind = int(mj.eq_type[e])
-    if kind in (_JOINT, _TENDON):
-        return ""
-    if kind in (_CONNECT, _WELD):
-        bodies = one, other = [body for body, _, _ in closure_frames(mj, e)]
-        if (mj.body_mocapid[bodies] >= 0).any():
-            return "a mocap body is moved by hand"
-        if not _joints_on(mj, _path(mj, one, other) + _path(mj, other, one)):
-            return "its bodies move together already"
-        return ""
-    return "it couples no joints"
 
 
 def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
@@ -110,13 +103,13 @@ def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
 def coupled_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
     """Return the two sums {dof: coefficient} that a joint or tendon equality relates; the second
     may be empty."""
-    sum_of = _joint_sum if int(mj.eq_type[e]) == _JOINT else _tendon_sum
-    other = int(mj.eq_obj2id[e])
-    return sum_of(mj, int(mj.eq_obj1id[e])), sum_of(mj, other) if other >= 0 else {}
-
-
-def _joint_sum(mj: mujoco.MjModel, j: int) -> dict[int, float]:
-    return {int(mj.jnt_dofadr[j]): 1.0}
+    sums: list[dict[int, float]] = []
+    for end in (int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])):
+        if int(mj.eq_type[e]) == _JOINT:
+            sums.append({int(mj.jnt_dofadr[end]): 1.0} if end >= 0 else {})
+        else:
+            sums.append(_tendon_sum(mj, end) if end >= 0 else {})
+    return sums[0], sums[1]
 
 
 def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
@@ -178,28 +171,21 @@ def _joints_on(mj: mujoco.MjModel, path: list[int]) -> list[int]:
 def _steps(mj: mujoco.MjModel, path: list[int], dofs: tuple[int, ...]) -> Iterator[Step]:
     for b in path:
         R = _matrix(mj.body_quat[b])
-        joints = tuple(
-            ChainJoint(dofs.index(dof), slide, axis, anchor)
-            for j in _joints_on(mj, [b])
-            for dof, (slide, axis, anchor) in zip(
-                _dofs_of(mj, j), _scalar_joints(mj, j, R), strict=True
-            )
-        )
-        yield Step(np.array(mj.body_pos[b]), R, joints)
-
-
-def _scalar_joints(mj: mujoco.MjModel, j: int, R: Array) -> list[tuple[bool, Array, Array]]:
-    """(slide, axis, anchor) of the hinges and slides that move a body as joint j does, in the order
-    of `coordinates`; R (3, 3) is the body's rotation in its parent, before them."""
-    kind, anchor, axes = int(mj.jnt_type[j]), np.array(mj.jnt_pos[j]), np.eye(3)
-    turns = [(False, axis, anchor) for axis in axes]
-    if kind == BALL:
-        return turns
-    if kind == FREE:
-        # Displacements in world axes, given in the body; a free joint turns about its origin.
-        at = np.zeros(3)
-        return [(True, R.T @ axis, at) for axis in axes] + [(False, axis, at) for axis in axes]
-    return [(kind == SLIDE, np.array(mj.jnt_axis[j]), anchor)]
+        joints: list[ChainJoint] = []
+        for j in _joints_on(mj, [b]):
+            # The hinges and slides that move a body as the joint does, in the order of
+            # `coordinates`: (slide, axis).
+            kind, anchor = int(mj.jnt_type[j]), np.array(mj.jnt_pos[j])
+            parts = [(kind == SLIDE, np.array(mj.jnt_axis[j]))]
+            if kind in (BALL, FREE):
+                parts = [(False, axis) for axis in np.eye(3)]
+            if kind == FREE:
+                # Displacements in world axes, given in the body; it turns about its origin.
+                anchor = np.zeros(3)
+                parts = [*((True, R.T @ axis) for axis in np.eye(3)), *parts]
+            for dof, (slide, axis) in zip(_dofs_of(mj, j), parts, strict=True):
+                joints.append(ChainJoint(dofs.index(dof), slide, axis, anchor))
+        yield Step(np.array(mj.body_pos[b]), R, tuple(joints))
 
 
 def _name(mj: mujoco.MjModel, e: int) -> str:

@@ -159,7 +159,14 @@ class Group:
         moves = np.abs(np.diff(independent, axis=0) / self.units[self.independent])
         fastest = float(moves.max(initial=0.0))
         stride = max(1, min(64, int(STEP / fastest))) if fastest > 0 else max(1, len(independent))
-        start, regular = self._patient_closure(independent[::stride])
+        start, share = self.follow_closure(independent[::stride])
+        for steps in FINER_STEPS:
+            # Shorter steps where the usual ones lose a fast dependent joint.
+            lost = share < 1.0
+            if lost.any():
+                aims = independent[::stride][lost]
+                start[lost], share[lost] = self.follow_closure(aims, least=steps)
+        regular = share == 1.0
         x = np.repeat(start, stride, axis=0)[: len(independent)]
         regular = np.repeat(regular, stride)[: len(independent)]
         if stride > 1:
@@ -170,17 +177,6 @@ class Group:
             x, J, found = self._newton(x, ITERATIONS)
             regular = regular & found & self._same_branch(before, J)
         return x, regular
-
-    def _patient_closure(self, targets: Array) -> tuple[Array, Array]:
-        """Closed postures (N, k) at targets (N, k - r) and True (N,) where they were reached from
-        the reference, in shorter steps where the usual ones lose a fast dependent joint."""
-        x, share = self.follow_closure(targets)
-        for steps in FINER_STEPS:
-            lost = share < 1.0
-            if not lost.any():
-                break
-            x[lost], share[lost] = self.follow_closure(targets[lost], least=steps)
-        return x, share == 1.0
 
     def follow_closure(
         self,
@@ -312,7 +308,15 @@ def closure_limits(group: Group, low: Array, high: Array) -> tuple[Array, Array]
     bounds = start + shares.reshape(bounds.shape) * (bounds - start)
     # Then all together: the box shrinks as a whole until no way to its surface leaves the bounds.
     if len(moving) > 1:
-        surface = start + _surface(bounds[0] - start, bounds[1] - start)
+        # Points (M, n) on its faces: random ones and, for n <= 6, corners; scaled to the largest
+        # entry, which takes them from inside the box onto its faces.
+        n, (below, above) = len(moving), bounds - start
+        points = np.random.default_rng(0).uniform(-1.0, 1.0, (SCATTERED, n))
+        points /= np.abs(points).max(axis=1, keepdims=True)
+        if n <= 6:
+            corners = 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1) - 1.0
+            points = np.concatenate([corners, points])
+        surface = start + np.where(points < 0, -points * below, points * above)
         bounds = start + _shares(group, surface, keep).min() * (bounds - start)
     return bounds[0], bounds[1]
 
@@ -340,17 +344,3 @@ def _shares(group: Group, targets: Array, keep: ClosureLimits) -> Array:
         return least
     _, shares = group.follow_closure(targets, keep, STEPS)
     return np.where(shares < 1.0, INSIDE * shares, 1.0)
-
-
-def _surface(low: Array, high: Array) -> Array:
-    """Points (M, n) on the faces of a box around the origin: random ones and, for n <= 6,
-    corners."""
-    n = len(low)
-    points = np.random.default_rng(0).uniform(-1.0, 1.0, (SCATTERED, n))
-    # Scaled to the largest entry: from inside the box onto its faces.
-    points /= np.abs(points).max(axis=1, keepdims=True)
-    if n <= 6:
-        corners = 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1) - 1.0
-        points = np.concatenate([corners, points])
-    scaled: Array = np.where(points < 0, -points * low, points * high)
-    return scaled

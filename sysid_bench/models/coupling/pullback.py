@@ -100,15 +100,10 @@ def _central_differences(group: Group, x: Array, v: Array, a: Array) -> list[Arr
     c, N = len(steps), len(x)
     moves = np.concatenate([np.diag(steps), -np.diag(steps)])
     x, v, a = (np.tile(values, (2 * c, 1)) for values in (x, v, a))
-    states = _state(group, group.step_closure(x, np.repeat(moves, N, axis=0)), v, a)
+    x = group.step_closure(x, np.repeat(moves, N, axis=0))
+    # F, v_dep and a_dep there, for rates v of the group and accelerations a of independent joints.
+    F = group.follow(x)
+    v[:, group.dependent] = times(F, v[:, group.independent])
+    states = F, v[:, group.dependent], times(F, a) + group.drift(x, v)
     parts = [state.reshape(2, c, N, *state.shape[1:]) for state in states]
     return [np.moveaxis(up - down, 0, -1) / (2 * steps) for up, down in parts]
-
-
-def _state(group: Group, x: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-    """F, v_dep and a_dep at closed x (N, k) for rates v (N, k) of the group and accelerations a of
-    its independent joints."""
-    F = group.follow(x)
-    v = v.copy()
-    v[:, group.dependent] = times(F, v[:, group.independent])
-    return F, v[:, group.dependent], times(F, a) + group.drift(x, v)
