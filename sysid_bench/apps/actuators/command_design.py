@@ -279,7 +279,20 @@ def design_commands(
     for _ in range(iterations):
         other = seen(_candidate(brief, random_near(best.curves, rng, SPREAD)))
         best = _better(best, other, seen(_candidate(brief, _joined(best, other))))
-    return _within_limits(brief, best)
+    # The search knows one set of actuators; real ones may move farther under the same commands.
+    # The worst of three plants therefore sets the amplitudes, which all of them share.
+    values = brief.drives.values
+    plants = [brief.drives] + [
+        replace(brief.drives, values=values * [factor, factor, factor, 1.0]) for factor in OTHERS
+    ]
+    curves = best.curves
+    for _ in range(ROUNDS):
+        moved = [_moved(brief, curves, drives) for drives in plants]
+        uses = np.max([uses for _, uses in moved], axis=0)
+        if uses.max() <= 1.0:
+            break
+        curves = _scaled(curves, uses)
+    return _informed(brief, curves, moved[0][0], uses)
 
 
 def _better(*candidates: CommandCandidate) -> CommandCandidate:
@@ -349,19 +362,3 @@ def _moved(brief: CommandProblem, curves: CommandCurves, drives: Drives) -> tupl
 def _range_use(brief: CommandProblem, q: Array) -> Array:
     half = 0.5 * (brief.high - brief.low)
     return np.asarray(np.abs(q - brief.default_position).max(axis=0) / half)
-
-
-def _within_limits(brief: CommandProblem, candidate: CommandCandidate) -> CommandCandidate:
-    """Return the candidate with amplitudes at which the limits are kept."""
-    values = brief.drives.values
-    plants = [brief.drives] + [
-        replace(brief.drives, values=values * [factor, factor, factor, 1.0]) for factor in OTHERS
-    ]
-    curves = candidate.curves
-    for _ in range(ROUNDS):
-        moved = [_moved(brief, curves, drives) for drives in plants]
-        uses = np.max([uses for _, uses in moved], axis=0)
-        if uses.max() <= 1.0:
-            break
-        curves = _scaled(curves, uses)
-    return _informed(brief, curves, moved[0][0], uses)

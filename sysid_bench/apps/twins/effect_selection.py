@@ -210,25 +210,23 @@ def effect_values(one: JointSignals, joint: int, name: str, effects: JointEffect
     if word in ("sin", "cos"):
         return np.asarray(getattr(np, word)(float(order) * q))
     if name in ("coulomb", "load"):
-        s = _friction_direction(q, v, effects.width)
+        # The play operator of the plant's own effect, over its width: unlike tanh(v / v0) it
+        # depends on the way since the last reversal, not on the rate, as presliding does.
+        if effects.width <= STEP_WIDTH:
+            s = np.asarray(np.sign(v))
+        else:
+            place, w = np.empty_like(q), np.array(effects.width)
+            p = np.asarray(q[0] - effects.width * np.sign(v[0]))
+            for k, position in enumerate(q):
+                p = play_position(p, position, w)
+                place[k] = p
+            s = np.asarray((q - place) / effects.width)
         return np.asarray(s if name == "coulomb" else np.abs(one.load[:, joint]) * s)
     if name == "stribeck":
         peak = np.exp(-((v / effects.vs) ** 2))
         return np.asarray(peak * np.tanh(SHARPNESS * v / effects.vs))
     simple = {"viscous": v, "curved": np.abs(v) * v, "time": one.t}
     return np.asarray(simple.get(name, np.ones_like(v)))
-
-
-def _friction_direction(q: Array, v: Array, width: float) -> Array:
-    """Return the normalised play (N,) of a motion q (N,), which starts at rates v (N,)."""
-    if width <= STEP_WIDTH:
-        return np.asarray(np.sign(v))
-    place, w = np.empty_like(q), np.array(width)
-    p = np.asarray(q[0] - width * np.sign(v[0]))
-    for k, position in enumerate(q):
-        p = play_position(p, position, w)
-        place[k] = p
-    return np.asarray((q - place) / width)
 
 
 SMALLEST: Final = 0.02
