@@ -33,6 +33,7 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
     try:
         estimate = _call(estimator, problem, experiment)
         estimate = _checked(estimate, problem)
+    # That a method refuses or fails is a result of a benchmark, not the end of it.
     except UnsupportedError as error:
         estimate = Estimate(status="unsupported", reason=str(error))
     except (EstimationError, SimulationError, UsageError, np.linalg.LinAlgError) as error:
@@ -82,6 +83,7 @@ def _checked(estimate: Any, problem: Problem) -> Estimate:
     if estimate.status == "ok":
         r = problem.base.rank
         theta = _numbers("theta", estimate.theta, (len(problem.parameters),))
+        # theta decides where both are given: a beta of its own could contradict it.
         beta = _numbers("beta", estimate.beta if theta is None else problem.base.K @ theta, (r,))
         if beta is None:
             raise EstimationError("The method returned neither beta nor theta.")

@@ -129,6 +129,7 @@ def _left_out_values(lines: pd.DataFrame, over: str) -> ClaimValues:
     not. Parameters that are on a bound, or have no value, in one of them are left out."""
     of = lines.assign(unit=_units(lines, over))
     table = of.pivot_table(index="unit", columns=PARAMETER, values="estimate", aggfunc="mean")
+    # A value on its bound is no estimate, and the range of equal values would be a point.
     bound = set(of.loc[of[VERDICT] == AT_BOUND, PARAMETER])
     free = table.drop(columns=[name for name in table if name in bound]).dropna(axis=1)
     if free.shape[1] == 0 or len(free) < 3:
@@ -266,6 +267,7 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
     if figure.low is None:
         counted = count_text(figure.count, claim["over"])
         reason = f"{counted}: no interval{figure.reason and f' ({figure.reason})'}"
+    # A claim on the cells that answered says nothing of those that did not.
     elif verdict == "holds" and values.lost > MOST_LOST * values.cells:
         reason = f"{values.lost} of {values.cells} cells have no answer"
     # Of a claim without a level its plants; recordings have none.
@@ -296,6 +298,7 @@ def _values(
     if claim["statistic"] == "share":
         records = ({str(key): one for key, one in row.items()} for row in of.to_dict("records"))
         met = [rows.choose(claim["meets"], row) for row in records]
+        # A failed cell counts as one that does not meet the condition, not as one that is missing.
         shares = of.assign(status="ok", met=np.asarray(met, dtype=float))
         return _selection_values(shares, "met", claim["over"])
     if claim["statistic"] == LEFT_OUT:
@@ -346,6 +349,8 @@ def _figure(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> C
         for column, method in enumerate(methods):
             known = (values.methods == method) & ~np.isnan(logs)
             named = np.unique(values.robots[known])
+            # ln(own / other) with its sign changed is the log error of the other; that of the own
+            # is zero.
             table[np.isin(robots, named), column] = -_mean_by_robot(
                 values, np.where(known, logs, np.nan)
             )

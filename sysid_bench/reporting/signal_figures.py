@@ -170,6 +170,8 @@ def difference_figure(cell: CellData) -> bytes:
         axes = drawing.add_subplot()
         sizes = np.abs(np.asarray(cell.gap_map, dtype=float))
         with np.errstate(divide="ignore"):
+            # Entries without a difference are masked: the lowest colour would say that there is
+            # one.
             values = np.ma.masked_invalid(np.log10(sizes))
         high = float(values.max()) if values.count() else 0.0
         least = float(values.min()) if values.count() else 0.0

@@ -115,11 +115,14 @@ class Candidates:
     def _size(self) -> Array:
         measured = self._measured
         if self.signal == "position":
+            # About the mean: a joint far from zero would count for nothing.
             measured = measured - measured.mean(axis=0)
         size = np.sqrt((measured**2).mean(axis=0))
         return np.asarray(np.where(size > 0, size, 1.0) * np.sqrt(measured.size))
 
     def _residuals(self, x: Array) -> Array:
+        # Exponentials of a far candidate may overflow; it then cannot be simulated, which has a
+        # cost.
         with np.errstate(over="ignore", invalid="ignore"):
             theta = self.parameters(x)
         simulated = self._of(self.experiment.simulate(theta))
