@@ -15,6 +15,7 @@ def plain(value: Any) -> Any:
     """
     # Rows hold thousands of numbers and texts: the common types first, abstract ones last.
     if isinstance(value, float):  # of a subclass such as numpy.float64, too
+        # JSON has no NaN, and other readers than Python's refuse the word.
         return float(value) if math.isfinite(value) else None
     if value is None or isinstance(value, int):
         return value
@@ -32,6 +33,7 @@ def plain(value: Any) -> Any:
     )
 
 
+# One encoder: json.dumps with settings makes a new one for each call.
 _CANONICAL: Final = json.JSONEncoder(sort_keys=True, separators=(",", ":"))
 
 

@@ -97,6 +97,7 @@ def _readable(line: str) -> str:
         line = f"{line[:kept]} ... {line[-kept:]}"
     if line.isprintable():
         return line
+    # A name in a file may hold escape codes, by which it could rewrite the screen.
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
@@ -169,6 +170,7 @@ def status_of(error: BaseException) -> str:
         return "unsupported"
     if isinstance(error, MemoryError):
         return "memory"
+    # A full disk on one machine: the cell is tried again elsewhere.
     if isinstance(error, OSError) and error.errno in _MACHINE_ERRORS:
         return "lost"
     return "failed"

@@ -59,6 +59,7 @@ def read_data(path: Path, largest: int = LARGEST) -> bytes:
     """Return the content of a file; raises OSError as `check_file` does."""
     check_file(path, largest)
     with path.open("rb") as file:
+        # One byte more than stated: a file that grows is noticed.
         content = file.read(path.stat().st_size + 1)
         while 0 < len(content) <= largest and (more := file.read(_PART)):
             content += more  # files of the system state no size
@@ -88,6 +89,7 @@ def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST) -> st
         text = read_data(path, largest).decode(encoding)
     except UnicodeDecodeError as error:
         raise TextError(*error.args) from error
+    # As text mode reads it; the lines of a mistake count alike on all systems.
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

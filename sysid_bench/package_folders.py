@@ -86,6 +86,7 @@ def suite(name: str) -> Path:
     path = Path(name)
     if path.suffix == ".toml" or path.parent != Path("."):
         inside = package_folder("suites") / f"{name}.toml"
+        # A path of the user before that of the package.
         for file in (path, inside):
             if is_file(file):
                 return file

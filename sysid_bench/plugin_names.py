@@ -197,6 +197,7 @@ def source_file(kind: str, name: str) -> Path | None:
         if spec is None or spec.submodule_search_locations is None:
             return None
         name_so_far = ".".join([root, *parts][:depth])
+        # Not importlib's find_spec, which imports the packages around a module.
         spec = PathFinder.find_spec(name_so_far, spec.submodule_search_locations)
     return Path(spec.origin) if spec is not None and spec.origin else None
 
@@ -289,8 +290,10 @@ def _module(path: str) -> ModuleType:
             check_file(file)
         except OSError as error:
             raise UsageError(f"{str(file)!r} is not a file with a plug-in: {error}.") from error
+        # By the whole path: two plug-in files of one name are two modules.
         name = f"sysid_bench_file_{hashlib.sha256(bytes(file.resolve())).hexdigest()[:12]}"
         status = file.stat()
+        # Time and size are part of the cache's key: an edited plug-in is read again in one session.
         return _executed(name, file, (status.st_mtime_ns, status.st_size))
     if not all(path.split(".")):
         raise UsageError(f"No module is called {path!r}; name one as 'package.module:object'.")
@@ -375,6 +378,7 @@ def plugin_fields(make: Any) -> dict[str, _SettingField]:
 
 
 def _takes_list(annotation: Any) -> bool:
+    # `from __future__ import annotations` leaves a text, and evaluating it would need its module.
     if isinstance(annotation, str):  # postponed
         return "Sequence[" in annotation or "tuple[" in annotation or "Size" in annotation
     kinds = map(get_origin, (annotation, *get_args(annotation)))

@@ -205,6 +205,7 @@ class _Run:
                     self._start(selected, lock)
                 if is_ours:
                     self.rows.update()
+                    # The lock is free: the run has ended, and no further row comes.
                     if cell in self.rows.rows or lock is not None:
                         return self.rows.rows.get(cell)
             time.sleep(_POLL_SECONDS)
@@ -238,15 +239,18 @@ class _Run:
             "folder": str(self.folder),
             "cells": list(selected),
             "jobs": int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")),
+            # Workers of xdist may end early; their parent is the session.
             "guard": os.getppid() if is_worker else os.getpid(),
         }
         file = self._beside("json")
         file.write_text(json.dumps(task))
         with self._beside("log").open("wb") as log:
+            # A process of its own, which holds the lock: items see by it that the run goes on.
             runner = subprocess.Popen(
                 [sys.executable, "-m", "sysid_bench.pytest_suite", str(file)],
                 stdin=subprocess.DEVNULL, stdout=log, stderr=log, pass_fds=(lock,),
             )  # fmt: skip
+        # A worker that has no item left must not end the run for the others.
         if not is_worker:
             self.config.add_cleanup(lambda: _stop(runner))
         self._beside("session").write_text(self.session)
@@ -272,6 +276,7 @@ def _end_with(guard: int) -> None:
 def _main(task: Mapping[str, Any]) -> int:
     """Run the selected cells of a suite in this process."""
     threading.Thread(target=_end_with, args=(task["guard"],), daemon=True).start()
+    # By ids: what -k or a path has left out does not run.
     chosen = ", ".join(f'"{cell}"' for cell in task["cells"])
     try:
         run_cells(

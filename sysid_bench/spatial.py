@@ -27,6 +27,7 @@ def matrix_of_quaternion(quaternion: Array) -> Array:
 
 def quaternion_of_matrix(R: Array) -> Array:
     """Return a unit quaternion (4,) of one rotation matrix (3, 3), w >= 0 (Shepperd 1978)."""
+    # Divides by the largest component: a fixed one may be near zero.
     squares = np.array([np.trace(R), *np.diag(R)])
     largest = int(np.argmax(squares))
     q = np.empty(4)
@@ -39,6 +40,7 @@ def quaternion_of_matrix(R: Array) -> Array:
         q[0] = R[k, j] - R[j, k]
         q[1 + i] = 1 + R[i, i] - R[j, j] - R[k, k]
         q[1 + j], q[1 + k] = R[j, i] + R[i, j], R[k, i] + R[i, k]
+    # w >= 0, so that one rotation has one quaternion.
     unit: Array = q / np.linalg.norm(q) * (1.0 if q[0] >= 0 else -1.0)
     return unit
 

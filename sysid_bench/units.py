@@ -37,6 +37,7 @@ def quantity(value: object, unit: str) -> float:
     Of alternatives ("rad|m") the first with the dimension of `value` applies. Raises UsageError for
     another unit, or a value that is not finite.
     """
+    # True is an int, and no quantity.
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise UsageError(f"{value!r} is not a quantity; write a number with a unit ({unit}).")
     if not isinstance(value, str):

@@ -62,6 +62,7 @@ def source_hash(folder: str) -> str:
     """Return a hash of all Python and C files below a folder, with their paths."""
     found = hashlib.sha256()
     for file in sorted([*Path(folder).rglob("*.py"), *Path(folder).rglob("*.c")]):
+        # Zero bytes between: text that moves from one file to the next is a change.
         found.update(f"{file.relative_to(folder)}\0".encode() + file.read_bytes() + b"\0")
     return found.hexdigest()
 
@@ -117,6 +118,7 @@ def _git() -> dict[str, Any] | None:
 
 def _ask_git(checkout: Path, *words: str) -> str | None:
     try:
+        # With a limit: on a slow network folder git may hang, and only a note is lost.
         done = subprocess.run(
             ["git", "-C", str(checkout), *words], capture_output=True, text=True, timeout=10
         )

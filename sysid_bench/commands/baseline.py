@@ -70,6 +70,7 @@ class BaselineSave(Request["BaselineResult"]):
         sizes = {}
         for name, size in (self.tolerances or {}).items():
             is_known = name in METRICS
+            # Metrics of plug-ins are not known before the run is read: compared as errors are.
             known = tolerance_of(METRICS[name]) if is_known else Tolerance("ratio", 1.01, 0.0)
             kind = "ratio" if known.kind == "exact" else known.kind
             try:
@@ -106,6 +107,7 @@ class BaselineUpdate(Request["BaselineResult"]):
         now = read_run(run, metrics, times=bool(old.run.speeds))
         changes = find_difference(old.run, now, old.tolerances)
         update = update_of(changes)
+        # With the old tolerances: those of a baseline are part of an agreement, not of a run.
         written = _write(baseline_of(update.run, old.tolerances), Path(self.out))
         kept = bool(old.run.speeds) and not now.speeds
         return replace(written, taken=update.taken, untimed=[*changes.without_time], kept=kept)
@@ -268,6 +270,7 @@ def gate_run(
     now = values_of_run(run, tuple(known.run.metrics), times=times)
     if times and not now.speeds:
         raise _without_times(run)
+    # Without --times the speeds of the baseline are left out: they are not to be missed.
     before = known.run if times else replace(known.run, speeds={})
     changes = find_difference(before, now, known.tolerances, partial=partial)
     compared = len(set(before.cells).intersection(now.cells))
@@ -435,6 +438,7 @@ def _changes_of_row(cell: "Cell", row: Mapping[str, Any], baseline: "Baseline") 
     table = row.get("parameters_table") or ()
     truth = true_values(table)
     parameters = {settings_key(first, table): truth} if truth else {}
+    # A run of one cell: partial, so that all others of the baseline do not count as gone.
     now = replace(known, cells={cell.id: values}, parameters=parameters)
     changes = find_difference(known, now, baseline.tolerances, partial=True)
     if not changes.is_failed:

@@ -48,6 +48,7 @@ def entries_of_kind(kind: str, robots_dir: Path | None = None) -> list[Entry]:
         try:
             found.append({"name": name, **kinds[plural].line(name)})
         except (SysidBenchError, OSError, ValueError) as error:
+            # One damaged file must not hide all other names of its kind.
             found.append({"name": name, "title": f"cannot be read: {error}"})
     registered = plugin_names.known(_singular(plural))
     with CallWorker(SECONDS) as worker:
@@ -75,6 +76,7 @@ def find_entry(name: str, robots_dir: Path | None = None) -> tuple[str, Entry]:
                 return (_singular(kind), _plugin(_singular(kind), name, worker))
         names |= own | registered.keys()
     if _plural(name) in KINDS:
+        # Titles import plug-ins: only where no name was found.
         titles = {entry["name"]: entry["title"] for entry in entries_of_kind(name, robots_dir)}
         return ("kind", {"name": _plural(name)} | titles)
     raise unknown_name("name", name, names)

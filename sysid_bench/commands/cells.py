@@ -92,7 +92,8 @@ class Cells(Request["CellsResult"]):
         found = [cell for cell in merged if condition is None or condition.holds(cell)]
         if self.sample is not None:
             # The smallest hashes: the same cells on every machine, whatever else is selected.
-            order = sorted((cell["id"] for cell in found), key=_hash)
+            every = (cell["id"] for cell in found)
+            order = sorted(every, key=lambda one: hashlib.sha256(one.encode()).digest())
             drawn = {*order[: self.sample]}
             found = [cell for cell in found if cell["id"] in drawn]
         if by:
@@ -102,6 +103,7 @@ class Cells(Request["CellsResult"]):
             texts = repeat_difference(run, ids, self.repeats)
             repeated = (cell for cell in found if cell["id"] in texts)
             found = [{**cell, _LAST_BITS: texts[cell["id"]]} for cell in repeated]
+            # Stable: cells with another answer first, each part in the order asked for.
             found.sort(key=lambda cell: cell[_LAST_BITS] == SAME)
             wanted.append(_LAST_BITS)
         columns = _columns(found, ["torque_error", *wanted])
@@ -184,10 +186,6 @@ def _cell_text(value: Any) -> str:
     return "-" if value is None else markdown_text(label(value))
 
 
-def _hash(identifier: str) -> bytes:
-    return hashlib.sha256(identifier.encode()).digest()
-
-
 def _value(cell: Mapping[str, Any], name: str) -> Any:
     """Label of a cell, else field of its row."""
     return cell["labels"].get(name, cell.get(name))
@@ -240,6 +238,7 @@ def repeat_difference(run: "RunFolder", ids: Sequence[str], repeats: int) -> dic
         if cell.id in wanted:
             groups.setdefault(cell.experiment, []).append(cell)
     limits = run.suite.run
+    # The time of a cell holds for each repeat, and for the data as they are.
     timeout, memory = quantity(limits.timeout, "s") * (repeats + 1), quantity(limits.memory, "B")
     target = "sysid_bench.experiments.cell_data:repeat_cells"
     for group in groups.values():

@@ -23,6 +23,7 @@ def largest_first(changes: Sequence[Change]) -> list[Change]:
             return math.inf
         return abs(math.log(abs(after) / abs(before)))
 
+    # By factor and not by difference: metrics have different units.
     return sorted(changes, key=size, reverse=True)
 
 

@@ -73,6 +73,7 @@ class Compare(Request["CompareResult"]):
             )
         words = ["sysid-bench", "compare", before, after]
         words += ["--metrics", ",".join(self.metrics)] if self.metrics else []
+        # A baseline does not state a level; that of a run is frozen in its suite.
         level = None if is_file(Path(after)) else open_run(after).suite.confidence
         with at_level(level):
             changes, ratios = find_difference(was, now), metric_ratio(was, now)

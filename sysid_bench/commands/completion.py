@@ -78,6 +78,7 @@ def completer(
     """Return a function that completes values of kinds; after a comma the last one of a list."""
 
     def complete(ctx: click.Context, param: click.Parameter, word: str) -> list[CompletionItem]:
+        # Shells replace the whole word: names are given with what stands before the last comma.
         before, comma, last = word.rpartition(",") if separated else ("", "", word)
         arguments = [str(x) for x in ctx.params.values() if isinstance(x, (str, os.PathLike))]
         found: list[CompletionItem] = []
@@ -113,6 +114,7 @@ _MOST = 500
 def _runs(word: str, arguments: Sequence[str]) -> Iterator[str]:
     """Run folders here, in reports/ and runs/, and beside what was begun."""
     for place in dict.fromkeys((".", "reports", "runs", os.path.dirname(word) or ".")):
+        # Not `stored_run.run_names`: its imports would take longer than the answer.
         folder = Path(place).expanduser()
         for entry in sorted(folder.iterdir())[:_MOST] if folder.is_dir() else ():
             if (entry / _PLAN).is_file():
@@ -122,6 +124,7 @@ def _runs(word: str, arguments: Sequence[str]) -> Iterator[str]:
 def _cells(word: str, arguments: Sequence[str]) -> list[str]:
     """Ids of the cells of a run, the first of `arguments`."""
     try:
+        # Lines begin with the id, so that nothing is parsed: a plan may have a million of them.
         with (Path(arguments[0]).expanduser() / _PLAN).open("rb") as lines:
             begun = (line for line in lines if line.startswith(_ID + word.encode()))
             return [line[len(_ID) : len(_ID) + 12].decode(errors="replace") for line in begun]

@@ -12,6 +12,7 @@ from sysid_bench.commands.request import (
     Request,
     free_base_option,
     model,
+    option,
     robots_option,
 )
 from sysid_bench.commands.result import Result
@@ -28,7 +29,7 @@ class Crosscheck(Request["list[CrosscheckResult]"]):
     """
 
     sources: tuple[str | Path, ...] = model("ROBOT|FILE...", several=True)
-    samples: int = 50
+    samples: int = option("Random states to compare at.", default=50, shown=True)
     free_base: bool | None = free_base_option()
     robots_dir: Path | None = robots_option()
     assets: Path | None = None
@@ -36,7 +37,7 @@ class Crosscheck(Request["list[CrosscheckResult]"]):
     def run(self) -> "list[CrosscheckResult]":
         """Return a verdict for each source."""
         if self.samples < 1:
-            raise UsageError(f"samples = {self.samples}: at least one state is needed to compare.")
+            raise UsageError(f"--samples {self.samples}: at least one state is needed to compare.")
         for source in self.sources:
             if not isinstance(source, (str, Path)):
                 raise UsageError(
@@ -143,6 +144,7 @@ def _manifest(source: str | Path, request: Crosscheck) -> "Manifest | Exception"
 
     try:
         manifest = find_manifest(str(source), request.robots_dir)
+    # A name that is not known is a mistake of the command; a file that fails is a verdict.
     except UsageError:
         raise
     except Exception as error:

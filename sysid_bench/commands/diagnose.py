@@ -185,6 +185,7 @@ def check_contradictions(logs: "Sequence[ProcessedLog]", accept: Collection[str]
     warnings: list[str] = []
     for log in logs:
         description = log.log.description
+        # A recording behind a force/torque sensor has no joint torques: nothing here can judge it.
         if not description.has_torque:
             continue
         source = description.source

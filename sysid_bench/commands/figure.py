@@ -84,6 +84,7 @@ def _drawing(folder: str | Path, name: str | None) -> dict[str, _Draw]:
     from sysid_bench.commands.run_report import table_of
     from sysid_bench.reporting import figures
 
+    # All other figures would be made first: rankings resample thousands of times.
     if name == TRAINING_SIZES:
         return _training_sizes(open_run(folder).frames())
     made = None if name in (None, ALL) else table_of(folder, str(name))

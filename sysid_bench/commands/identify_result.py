@@ -178,6 +178,7 @@ def _estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[
         fits = motion_fit(problem, estimate)
         limit = INTERVAL_LIMITS[next(iter(errors))]
         limit += f" (none between motions: {fits})" if isinstance(fits, str) else ""
+    # Fits with a part left out: slow, and so only where the residuals give no deviation.
     elif isinstance(found := block_errors(problem, estimate, method), str):
         limit = found
     else:

@@ -129,6 +129,7 @@ def identify_simulated(request: Identify) -> SimulatedResult:
     loaded, spec = _robot(request, _specification(request))
     robot, (model_out, json_out, _) = loaded.robot, request.files
     check_files(robot, request.task, model_out, json_out)
+    # As in a suite: a robot on which the engines differ makes no data.
     if not loaded.check.ok():
         raise ModelError(f"{robot.name}: {loaded.check.reason_text()}")
     prepared = prepare_simulated(spec, loaded)

@@ -165,6 +165,7 @@ def relative_to(path: Path, folder: Path) -> str:
 def write_new(path: Path, text: str, force: bool) -> None:
     """Write a text file, and its folder; raise UsageError for an existing one without `force`, or
     for one that cannot be written."""
+    # A dangling link does not exist, and writing would make a file elsewhere.
     if not force and (path.exists() or path.is_symlink()):
         raise UsageError(f"{str(path)!r} exists; name another file with -o, or remove it.")
     try:

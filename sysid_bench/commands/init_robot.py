@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 from sysid_bench.commands.init import relative_to, toml_value, write_new
-from sysid_bench.commands.request import Request, free_base_option, model, option
+from sysid_bench.commands.request import Request, model, option
 from sysid_bench.commands.result import Result
 from sysid_bench.commands.values import parse_names
 from sysid_bench.errors import ModelError, UsageError, first_names
@@ -47,31 +47,16 @@ class InitRobot(Request["InitRobotResult"]):
     massless: tuple[str, ...] = option(
         "Links without mass.", default=(), metavar="4,5,6", parse=parse_names
     )
-    assets: Path | None = option(
-        "Folder that an MJCF file may read from; default: its own.",
-        default=None, path="folder", metavar="DIR", complete="folders",
-    )  # fmt: skip
-    tool: str | None = option(
-        "Where payloads are mounted; default: the end of the longest chain.",
-        default=None, metavar="BODY|SITE",
-    )  # fmt: skip
-    free_base: bool | None = free_base_option()
 
     def run(self) -> "InitRobotResult":
         """Write robot.toml for a model file, or robot.toml and MJCF for a table."""
-        from sysid_bench.models.sources import with_settings
-
-        settings = {"assets": self.assets, "tool": self.tool, "free_base": self.free_base}
         if self.model is not None and self.table is None:
-            return init_model(with_settings(str(self.model), settings), self.out, self.name)
+            return init_model(self.model, self.out, self.name)
         if self.table is None or self.model is not None:
             raise UsageError(
                 "Which robot? Name its model file, sysid-bench init robot my.urdf, or its table of "
                 "Denavit-Hartenberg parameters: sysid-bench init robot --dh my.csv."
             )
-        given = [f"--{key.replace('_', '-')}" for key, value in settings.items() if value]
-        if given:
-            raise UsageError(f"{', '.join(given)}: of a model file, not of a table.")
         return init_robot(
             self.table,
             self.out,

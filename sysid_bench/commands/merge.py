@@ -33,6 +33,7 @@ class Merge(Request["MergeResult"]):
         from sysid_bench.harness.merge import merge as merge_runs
 
         merged = merge_runs([Path(run) for run in self.runs], Path(self.out), mixed=self.mixed)
+        # Shards without a row have no table to write.
         if merged.folder is not None and merged.rows:
             report(merged.folder.path)
         folder = None if merged.folder is None else str(merged.folder.path)

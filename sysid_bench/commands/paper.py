@@ -96,6 +96,7 @@ def torque_samples(run: RunFolder) -> dict[str, StoredTorque]:
     shown = [entry for entry in run.suite.paper if entry.show == "torques"]
     titles = {entry.name: entry.title or entry.name for entry in shown}
     files = sorted((run.path / "artifacts").glob("*/paper/*.npz"))
+    # Reversed: of several figures of a cell the first by name stays.
     found = {file.parent.parent.name: file for file in reversed(files) if file.stem in titles}
     return {
         cell: _read(_torques, found[cell], titles[found[cell].stem])

@@ -103,6 +103,7 @@ class Plan(Request["PlanResult"]):
             if not as_json:
                 raise
             counts = {"cells": 0, "experiments": 0, "excluded": {}, "seconds": 0}
+            # Programs that asked for JSON get the mistakes as JSON, with the same exit code.
             print_json({**counts, "seconds_from": "", "errors": str(error).splitlines()})
             return USAGE
         if result.code:

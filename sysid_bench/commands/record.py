@@ -72,6 +72,7 @@ class Record(Request[list[Path]]):
                     "without a recording. Record another cell of its experiment."
                 )
         attempts = [_attempt(run, cell, stored[cell], self.robots_dir) for cell in chosen]
+        # After all attempts: one recording that fails does not cost the others.
         failures = [*filter(None, attempts)]
         written = len(attempts) - len(failures)
         if failures:
@@ -128,6 +129,7 @@ def record_selection(
         return
     stored = run.rows(frozenset(chosen)).rows
     with_data = [c for c in dict.fromkeys(chosen) if stored[c].get("data_rank") is not None]
+    # Any row may be of this cell: without reading them all, the newest file decides.
     newest_row = max(map(_written_at, (run.path / "cells").glob("*.jsonl")), default=0.0)
     for cell in with_data[:MOST]:
         path = _path(run, cell)

@@ -224,6 +224,7 @@ def _judged(
     written, problem = find_manifest(str(file)), prepared.problem
     locked = prepared.source.training[0].robot.manifest.locked
     robot = load_robot(replace(written, locked=locked))
+    # Judged as read again: what the file does not hold is missing here, as for its next user.
     check = crosscheck(load_robot(written))
     if not check.ok():
         raise ModelError(f"{file}, the written model: {check.reason_text()}")

@@ -56,7 +56,7 @@ class Run(Request["RunResult"]):
     rerun: Literal["failed", "stale", "all"] | None = option(
         "Run these cells again.", default=None, choices=("failed", "stale", "all")
     )
-    fail_fast: bool = False
+    fail_fast: bool = option("Stop at the first failure.", default=False)
     record: str | None = option(
         "Record cells that meet this expression.",
         default=None, metavar="SPEC", parse=parse_condition, complete="fields",
@@ -104,6 +104,7 @@ class Run(Request["RunResult"]):
             known = known_baseline(self.baseline, times=self.times)
         suite = Path(self.suite)
         outcome = execute(
+            # A text may be the name of a suite of the package, which is not a path.
             suite if is_folder(suite) else str(self.suite),
             None if self.out is None else Path(self.out),
             shard=None if self.shard is None else Shard.parse(self.shard),
@@ -115,9 +116,11 @@ class Run(Request["RunResult"]):
         result = RunResult(**vars(outcome))
         if not result.is_complete:
             return result
+        # Before the gate, which may raise: the report is there in any case.
         result = self._reported(result)
         if known is None:
             return result
+        # Cells that were not asked for are not missing.
         part = bool(self.select or self.limit or self.shard)
         file, times = str(self.baseline), self.times
         compared = gate_run(result.folder, known, file, partial=part, times=times)

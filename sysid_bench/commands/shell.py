@@ -57,13 +57,11 @@ _REMOVED: Final = {
     "--all": "pipe the list, | less",
     "--zero": "use zero= of sysid_bench.paper_table",
     "--values": "use values= of sysid_bench.paper_table",
-    "--samples": "use samples= of sysid_bench.crosscheck",
     "--memory": "use memory= of sysid_bench.SurveyRequest",
     "--title": "a report has the title of its source",
     "--methods": "use methods= of sysid_bench.transfer",
     "--levels": "use levels= of sysid_bench.transfer",
     "--gravity": "write gravity = [...] into robot.toml",
-    "--fail-fast": "use fail_fast= of sysid_bench.run",
 }
 """Options of earlier versions, and what to do in their place."""
 
@@ -146,6 +144,7 @@ def _execute(request: type[Request[Any]], specs: Mapping[str, Option], **values:
     given = {
         key: _value(specs[key], value)
         for key, value in values.items()
+        # Only what was typed: the defaults of the request hold, whatever help prints as one.
         if context.get_parameter_source(key) is not ParameterSource.DEFAULT
     }
     asked = request(**given)
@@ -245,6 +244,7 @@ def _exit_code(command: Callable[[], int], context: click.Context) -> int:
         click.echo(_INTERRUPTION, err=True)
         code = INTERRUPTED
     except BrokenPipeError:  # the reader of our output has closed it, as `head` does
+        # Python would complain of the closed pipe once more when it flushes at its end.
         sys.stderr.close()
         code = OK
     except (SysidBenchError, OSError) as error:

@@ -31,6 +31,7 @@ def stored(name: str, make: Callable[[], T]) -> T:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         for older in file.parent.glob(f"{name}-*"):
+            # One file of a name: caches do not grow with each edit of a checkout.
             older.unlink()
         # Whole or not at all: other commands may read it, or write it at the same time.
         part = file.with_name(f"{file.name}.{os.getpid()}")

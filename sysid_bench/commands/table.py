@@ -131,6 +131,7 @@ def all_verbs() -> dict[str, Verb]:
     """Return all verbs; those of other packages come last and replace none."""
     from sysid_bench.commands.stored import stored  # reading metadata takes 40 ms, of all packages
 
+    # Ours last: a package cannot replace a verb of this one.
     return _of_packages(stored("commands", _entry_points)) | dict(VERBS)
 
 

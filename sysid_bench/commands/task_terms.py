@@ -14,6 +14,7 @@ def check_term_names(terms: Sequence[str] | None, features: bool = False) -> Non
     """Raise UsageError with the nearest name for an unknown joint term, and for a single text;
     `features`: those of recordings ("tanh") are terms as well."""
     more = tuple(known("term")) if features else ()
+    # A text is a sequence of letters, each of which would be an unknown term.
     if isinstance(terms, str):
         raise UsageError(f"terms is a sequence of names, as [{terms!r}]; got the text {terms!r}.")
     for term in terms or ():

@@ -30,6 +30,7 @@ def parse_words(text: str) -> tuple[str, ...]:
 def check_seed(seed: int) -> None:
     """Raise UsageError for a seed that is not an integer of 0 or more."""
     try:
+        # Also integers of NumPy, and not floats.
         valid = seed.__index__() >= 0
     except (AttributeError, TypeError):
         valid = False
@@ -110,6 +111,7 @@ def parse_contact(text: str) -> list[str] | str:
     if text == "detect":
         return text
     periods = list(parse_names(text))
+    # An empty text is not "no periods": its reading raises the error.
     for period in periods or [text]:
         interval(period)
     return periods

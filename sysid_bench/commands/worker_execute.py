@@ -43,6 +43,7 @@ def supervise(
     Raises WorkerError where it hangs, crashes, or needs too much memory.
     """
     named = [(kind, name) for kind, name in plugins if name]
+    # In a worker already: it executes, or each would start another one.
     if _channel.get() or not named:
         return None
     from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
@@ -70,6 +71,7 @@ def supervise(
             raise
         raise UsageError(f"{error} {_ADVICE.get(error.status, '')}".rstrip()) from error
     click.echo(worker.output, err=True, nl=False)
+    # stdout as a whole, at the end: what failed has printed no half of a result.
     click.echo(answer["output"], nl=False)
     return int(answer["code"])
 
@@ -94,6 +96,7 @@ def worker_progress() -> OnValue | None:
     def send(count: int, value: float) -> None:
         nonlocal latest
         now = time.monotonic()
+        # A search may have thousands of evaluations a second, and each report is a line in a pipe.
         if now - latest >= _PROGRESS_SECONDS:
             latest = now
             channel.progress([count, value])

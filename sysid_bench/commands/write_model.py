@@ -85,6 +85,7 @@ def _is_manifest(file: Path) -> bool:
 
 def _is_same(target: Path, source: Path | None) -> bool:
     """Test whether a source exists and is the target, by any path."""
+    # By file and not by path: a link may name the source, too.
     return source is not None and source.exists() and target.samefile(source)
 
 
@@ -146,6 +147,7 @@ def write_values(
 ) -> None:
     """Write the robot's model file again with phi (10,) by body and terms by joint, in the words of
     the format; raises ModelError for what must not be written."""
+    # The file is edited, not generated: comments, meshes and foreign tags stay.
     write = update_urdf if robot.format == "urdf" else update_mjcf
     with tempfile.TemporaryDirectory() as folder:
         source = robot.manifest.path

@@ -59,6 +59,7 @@ def executor_of(text: str) -> Executor:
         settings["security"] = security
         if not security:
             raise UsageError(f"{text!r} has a '+' without a word; write 'dask+tls://HOST:PORT'.")
+    # "my_lab.engine:Class" has a dot; a registered name with one has precedence.
     if scheme == "file" or ("." in scheme and name not in plugin_names.known("executor")):
         return plugin_names.build("executor", {"use": text})  # type: ignore[no-any-return]
     return plugin_names.build("executor", {"use": name, **settings})  # type: ignore[no-any-return]

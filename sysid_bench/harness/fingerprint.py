@@ -62,6 +62,7 @@ def cell_fingerprint(
     used += [("pipeline", spec.pipeline)] if spec.pipeline is not None else []
     used += [("metric", metric) for metric in metrics]
     if spec.log is not None:
+        # Here, for recordings alone: planning asks for fingerprints and imports nothing heavy.
         from sysid_bench.experiments.recorded.prepare import log_files
 
         read = log_files(spec.log, folder or Path())
@@ -155,6 +156,7 @@ def _plugin(name: str) -> str:
     if spec is None:
         return _ABSENT
     if spec.submodule_search_locations:
+        # The whole package: an edit of a helper module that the plug-in imports counts as well.
         return canonical_hash(list(map(source_hash, spec.submodule_search_locations)))
     return _file(spec.origin) if spec.origin else _ABSENT
 
@@ -175,6 +177,7 @@ def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell
     known: dict[str, str] = {}
 
     def fingerprint(cell: Cell) -> str:
+        # Cells differ by seed, noise and repeat, and share their code and models.
         key = cell.code_key
         if key not in known:
             known[key] = cell_fingerprint(cell, robots_dir, suite.folder, metrics)
@@ -187,6 +190,7 @@ def other_code(folder: RunFolder, counts: RowCounts) -> int:
     """Return the number of rows of a run that are from other code, models or libraries than now."""
     fingerprint = current_fingerprint(folder.suite, folder.suite.robots_folder)
     cells = folder.cells_at({kind.cell for kind in counts.rows})
+    # One cell for each kind of row: a status over a million rows stays quick.
     now = {place: fingerprint(cell) for place, cell in cells.items()}
     others = 0
     for kind, count in counts.rows.items():

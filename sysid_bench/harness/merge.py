@@ -62,6 +62,7 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     folder = folders[0].write_plan(out, {**every[0], "machines": unique})
     with folder.new_writer("merge") as writer:
         for cell in filter(candidates.__contains__, planned):
+            # Only places are in memory; the rows of all runs together may be larger than it.
             best = min(candidates[cell], key=lambda row: _WORTH.index(row.status))
             writer.write(best.place.read())
     for run in folders:  # the first run that has stored data of a cell gives them
@@ -115,6 +116,7 @@ def _candidates(
                 if cell is not None and cell in planned:
                     changed[cell] = place
             elif row["id"] in planned:
+                # Bit by bit: rows of one code and one set of libraries are expected to be equal.
                 result = {key: value for key, value in row.items() if key not in _EXCEPT}
                 last[row["id"]] = _Candidate(
                     row["status"],

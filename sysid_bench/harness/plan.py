@@ -102,6 +102,7 @@ def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = Fa
             kept.append(cell)
         else:
             excluded[reason] += 1
+    # By id: two entries of a suite may mean the same cell, which is then computed once.
     unique: dict[str, Cell] = {}
     for cell in kept:
         unique.setdefault(cell.id, cell)
@@ -177,6 +178,7 @@ def planned_fields(lines: Iterable[bytes]) -> Iterator[dict[str, Any]]:
     for number, line in _numbered(lines):
         try:
             data = json.loads(line)
+            # A million cells have few different labels: each text is in memory once.
             labels = {sys.intern(key): sys.intern(word) for key, word in data["labels"].items()}
             repeat = data["spec"]["repeat"]
             head = {"id": data["id"], "experiment": data["experiment"], **labels, "repeat": repeat}
@@ -193,6 +195,7 @@ def _cell_of(number: int | str, line: bytes) -> Cell:
         written_id, read_id = data["id"], cell.id
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise UsageError(f"plan.jsonl:{number}: not a valid cell ({error!r}).") from error
+    # Another version may read other defaults: its row would be that of another cell.
     if read_id != written_id:
         raise UsageError(
             f"plan.jsonl:{number}: the cell {written_id} reads as {read_id} with this version of "
@@ -236,6 +239,7 @@ class Shard:
         loads = [(0.0, index) for index in range(1, self.count + 1)][: len(costs)]
         heapify(loads)
         own = set[str]()
+        # Ties by id, so that all machines deal the plan out alike, without contact.
         for name in sorted(costs, key=lambda name: (-costs[name], name)):
             load, index = loads[0]
             heapreplace(loads, (load + costs[name], index))

@@ -89,14 +89,17 @@ def run(
     ("code", {note}) where third-party code will run, ("plan", {cells, open, tasks, seconds}), then
     the events of the executor. Raises UsageError before any run.
     """
+    # Checked before suites and models are read, which may take seconds.
     request = _Request(
         select, limit, shard, timeout=timeout, rerun=rerun, jobs=jobs, fail_fast=fail_fast,
         call=call, robots_dir=robots_dir,
     )  # fmt: skip
     on_event = on_event or no_progress
+    # An executor that is not there is an error before the suite is read.
     chosen = executor_of(executor)
     source, overrides = suite_or_folder, overrides or {}
     if not isinstance(source, Suite) and is_folder(Path(source)):
+        # A run that is named goes on with its frozen suite, whatever its file says today.
         folder = _open_run(Path(source), out, overrides)
     else:
         with nullcontext(names) if names else worker_names(robots_dir) as known:
@@ -146,6 +149,7 @@ class _Request:
         """True for a cell that has to run though it has a row."""
         if self.rerun == "all":
             return True
+        # The machine failed and not the method: again without being asked, but not for ever.
         if row.get("status") == "lost" and row.get("losses", 1) < MOST_LOSSES:
             return True
         if self.rerun == "failed":
@@ -196,6 +200,7 @@ def _run_selected(
     robots_dir = request.robots_dir or folder.suite.robots_folder
     fingerprint = current_fingerprint(folder.suite, robots_dir)
     with folder.lock() as lock:
+        # Read under the lock, which orphans of a killed run hold: nobody adds a row from here on.
         stored = folder.first_fields().rows
         todo = [
             cell
@@ -246,6 +251,7 @@ def _work(
             "fingerprints": {row.cell.id: row.fingerprint for row in heads},
             "artifacts": str(folder.path.resolve() / "artifacts"),
         }
+        # A worker keeps models of a robot with its payload in memory from job to job.
         group = " ".join(cells[0].labels[key] for key in ("robot", "payload"))
         jobs.append(Job(request.call, argument, tuple(heads), group))
     limits = suite.run

@@ -112,9 +112,11 @@ class RunFolder:
         """
         folder = cls(path)
         path.mkdir(parents=True, exist_ok=True)
+        # A run is made under its lock: of two runners that start together one writes the plan.
         with folder.lock():
             hashed = True
             if is_file(path / PLAN):
+                # By cells, not by the text of the suite: another table or title is no other run.
                 stored = {cell.id for cell in folder.plan.cells}
                 planned = {cell.id for cell in plan.cells}
                 if stored != planned:
@@ -145,6 +147,7 @@ class RunFolder:
         (self.path / "cells").mkdir(parents=True, exist_ok=True)
         (self.path / "logs").mkdir(exist_ok=True)
         self.write("run.toml", suite_text(suite))
+        # That of a run that goes on is the environment of its rows until it computes again.
         if not (self.path / "env.json").is_file():
             self.write_environment(env)
         self._write_parts(PLAN, plan)  # last: from now on it is a run
@@ -240,6 +243,7 @@ class RunFolder:
         garbled: tuple[str, ...] = ()
         if (coverage := read_coverage(self.path, row_files(self._cells))) is not None:
             with suppress(*UNREADABLE):
+                # A damaged file costs time and no row: the row files are read as a whole then.
                 rows = FrameFiles(self.path, coverage).fields_of_rows(HEAD)
                 start, garbled = coverage.start, coverage.garbled
         rest = read_rows(self._cells, start=start, fields=HEAD, hashed=self.has_hashes)
@@ -292,6 +296,7 @@ class RunFolder:
         if self.row_bytes <= FEW_BYTES:
             stored, heads = self.rows().rows, self.planned_fields
             return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
+        # Not allowed while another runner has the lock, nor in a folder that is not ours to write.
         with suppress(UsageError, OSError), self.lock():
             coverage = build_frames(self.path, self._plan_heads)
             return Frames(FrameFiles(self.path, coverage).read)
@@ -335,6 +340,7 @@ class RunFolder:
         self._write_parts(name, [text])
 
     def _write_parts(self, name: str, parts: Iterable[str]) -> None:
+        # Beside its target: a rename replaces a file in one step within one file system alone.
         temporary = self.path / f".{name}.{os.getpid()}"
         try:
             with temporary.open("w", encoding="utf-8") as file:
@@ -358,6 +364,7 @@ class RunFolder:
         try:
             check_file(self.path / PLAN, LARGEST_PLAN)
             with (self.path / PLAN).open("rb") as plan:
+                # A size is asked for: a damaged plan may be one line of gigabytes.
                 while line := plan.readline(LARGEST):
                     if len(line) == LARGEST:
                         raise OSError(f"a line has more than {LARGEST / 1e6:.0f} MB")
@@ -409,6 +416,7 @@ def frames_of_run(
         next_look = time.monotonic() + _LOOK_SECONDS
         is_busy = process is not None and process.poll() is None
         if not is_busy and (size := folder.row_bytes) > due:
+            # Growth by a factor keeps the work of all consolidations in proportion to the rows.
             due = int(_GROWTH * size) + FEW_BYTES
             process = subprocess.Popen(
                 [sys.executable, "-m", __name__, str(folder.path), str(os.getpid())],
@@ -434,6 +442,7 @@ def main(folder: str, parent: str) -> None:
     """Consolidate the rows stored so far; what fails here is reported at the end of the run."""
     kill_with(int(parent))
     if hasattr(os, "nice"):
+        # Tables can wait; the workers of the run go first.
         os.nice(10)
     RunFolder(Path(folder)).write_frames()
 

@@ -130,6 +130,7 @@ def _unique_labels(choices: Iterable[_Choice]) -> dict[str, str]:
         long.setdefault(key, texts[1])
     hashed = {key: f"{text} #{canonical_hash(key)[:6]}" for key, text in long.items()}
     labels = short
+    # Only labels that are not unique get longer: adding a robot leaves those of the others.
     for finer in (long, hashed):
         count = Counter(labels.values())
         labels = {key: finer[key] if count[text] > 1 else text for key, text in labels.items()}
@@ -259,6 +260,7 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
         "payload", "task", "plant", "prior", "excitation", "held_out", "simulation", "noise",
     )  # fmt: skip
     for spec, facts in _simulated_specs(suite, names):
+        # By value and not by place, since plants have simulations and noise of their own.
         keys = {
             **{axis: getattr(spec, axis) for axis in by_value},
             "robot": _robot_key(spec.robot, spec.free_base, spec.sensor),
@@ -297,7 +299,10 @@ def _specs_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
         signals = {"filter": filter, "derivatives": entry.derivatives}
         signals = {key: value for key, value in signals.items() if value not in (None, "default")}
         default = pipeline_choice.default_log_pipeline(signals)
-        train = [_first_part(log, share) for log in entry.train]
+        train = list[Any](entry.train)
+        if share != 1.0:  # ids of whole logs are those of what is written
+            tables = ({"use": log} if isinstance(log, str) else log for log in train)
+            train = [{**table, "share": share} for table in tables]
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
             robot=entry.robot,
@@ -316,13 +321,6 @@ def _specs_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
             pipeline=default if pipeline is None else pipeline_choice.pipeline_spec(pipeline.spec),
             log={"train": train, "choose": list(choose), "moving": moving, **shared},
         )
-
-
-def _first_part(log: Any, share: float) -> Any:
-    """Return a log as written, or its first part."""
-    if share == 1.0:
-        return log
-    return {**({"use": log} if isinstance(log, str) else log), "share": share}
 
 
 def _log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:

@@ -28,6 +28,7 @@ def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
 
     def ask(argument: Mapping[str, Any]) -> Mapping[str, Any]:
         key = canonical(argument)
+        # Sweeps name a plug-in many times; one call answers all of them.
         if key not in answers:
             title = f"making {argument['kind']} {argument['use']!r}"
             try:

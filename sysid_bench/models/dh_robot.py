@@ -73,6 +73,16 @@ def mjcf_of(
     if unknown:
         raise unknown_name("massless link", min(unknown), known)
     bodies = _bodies(table, placed, -1, frozenset(massless), "    ")
+    return (
+        f"<mujoco model={quoteattr(name)}>\n"
+        '  <compiler angle="radian" inertiafromgeom="false" autolimits="true"/>\n'
+        f'  <option gravity="{_words(gravity)}" integrator="implicitfast"/>\n'
+        f"  <worldbody>\n{bodies}  </worldbody>\n{_couplings(table, placed)}</mujoco>\n"
+    )
+
+
+def _couplings(table: DhTable, placed: list[_Placed]) -> str:
+    """Sections of tendons, equalities and motors."""
     index = {row.link: i for i, row in enumerate(table.rows)}
     tendons = equalities = motors = ""
     for row in table.rows:
@@ -95,13 +105,7 @@ def mjcf_of(
         equalities += f'    <connect body1="link{one}" body2="link{other}" {anchor}/>\n'
     sections = {"tendon": tendons, "equality": equalities}
     couplings = (f"  <{tag}>\n{x}  </{tag}>\n" for tag, x in sections.items() if x)
-    return (
-        f"<mujoco model={quoteattr(name)}>\n"
-        '  <compiler angle="radian" inertiafromgeom="false" autolimits="true"/>\n'
-        f'  <option gravity="{_words(gravity)}" integrator="implicitfast"/>\n'
-        f"  <worldbody>\n{bodies}  </worldbody>\n{''.join(couplings)}"
-        f"  <actuator>\n{motors}  </actuator>\n</mujoco>\n"
-    )
+    return f"{''.join(couplings)}  <actuator>\n{motors}  </actuator>\n"
 
 
 def _place(table: DhTable, convention: Convention, frames: Frames, R_base: Array) -> list[_Placed]:

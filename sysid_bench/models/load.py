@@ -112,14 +112,7 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
 def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source) -> RobotModel:
     spec = source.spec
     base_repairs = assembly.add_free_base(spec, manifest.name) if free else ()
-    if manifest.gravity is not None:
-        spec.option.gravity = manifest.gravity
-    joint_terms.apply_joint_terms(spec, manifest)
-    _compile(spec, manifest)  # gives bodies and joints the ids that unnamed ones are called by
-    assembly.add_names(spec)
-    if manifest.locked:
-        assembly.lock_joints(spec, _compile(spec, manifest), manifest.locked)
-    bare = _compile(spec, manifest)
+    bare = _bare_model(spec, manifest)
     names = _body_names(bare)
     tool, pose = assembly.tool_frame(bare, manifest, names)
     load = free_name("payload", names)
@@ -154,6 +147,18 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         repairs=(*source.repairs, *base_repairs, *warnings, *ignored),
         coupling=coupling,
     )
+
+
+def _bare_model(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
+    """Apply gravity, joint terms, names and locked joints to the spec; compile it unloaded."""
+    if manifest.gravity is not None:
+        spec.option.gravity = manifest.gravity
+    joint_terms.apply_joint_terms(spec, manifest)
+    _compile(spec, manifest)  # gives bodies and joints the ids that unnamed ones are called by
+    assembly.add_names(spec)
+    if manifest.locked:
+        assembly.lock_joints(spec, _compile(spec, manifest), manifest.locked)
+    return _compile(spec, manifest)
 
 
 def _coupling(

@@ -36,6 +36,7 @@ def find_help(name: str, group: click.Group) -> HelpText:
     no other page has it: importing all plug-ins takes seconds.
     """
     name, titles = name.strip().strip("[]"), title_by_page()
+    # Typed as words, as they are spoken: "joint terms" is the page joint-terms.
     plain = name.lower().replace(" ", "-").replace("_", "-")
     for page_name in (plain, f"{plain}s", f"{plain}es"):  # "estimator", "log readers"
         if page_name in titles:
@@ -44,11 +45,13 @@ def find_help(name: str, group: click.Group) -> HelpText:
             return HelpText(page_name, titles[page_name], str(page), entries)
     costly = _costly_pages(name)
     known: list[Entry] = []
+    # The quick pages first; those that import plug-ins only where no other has the name.
     for names in ([one for one in titles if one not in costly], costly):
         known += [entry for one in names for entry in find_page(one, group).entries(one)]
         whole = [entry for entry in known if entry.name_on_page == name]
         found = whole or [entry for entry in known if name in entry.words]
         if found:
+            # Sections before lines, whole names before last parts, else as on the pages.
             found.sort(key=lambda entry: (not entry.is_section, entry.name != name))
             return HelpText(name, found[0].title, _text(found), tuple(found))
     words = {word for entry in known for word in entry.words[1:]}

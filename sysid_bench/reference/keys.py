@@ -85,10 +85,12 @@ def _default(field: FieldInfo) -> str:
 def key_tables(model: type[BaseModel]) -> list[KeyTable]:
     """Return the tables of a file in the order of its keys, each model once."""
     found = [KeyTable("", model)]
+    # The list grows while it is read: inner tables follow their outer ones.
     for outer in found:
         for name, field in outer.model.model_fields.items():
             path = ".".join(filter(None, (outer.heading.strip("[]"), field.alias or name)))
             for inner, is_list in _models(field.annotation, False):
+                # A sweep is a tuple for pydantic, and a single table for who writes it.
                 is_list = is_list and not _is_sweep(field.metadata)
                 if all(other.model is not inner for other in found):
                     found.append(KeyTable(f"[[{path}]]" if is_list else f"[{path}]", inner))
@@ -143,6 +145,7 @@ def _element(annotation: Any) -> str:
 def key_notes(model: type[BaseModel]) -> dict[str, str]:
     """Return the meaning of each field: the comment behind it and the docstring below it."""
     notes: dict[str, str] = {}
+    # A derived table may describe an inherited key anew.
     for base in reversed(model.__mro__):
         if issubclass(base, BaseModel) and base is not BaseModel:
             notes |= _own_notes(base)
@@ -152,6 +155,7 @@ def key_notes(model: type[BaseModel]) -> dict[str, str]:
 @cache
 def _own_notes(model: type[BaseModel]) -> Mapping[str, str]:
     """Notes on the fields that a model defines itself; the syntax of its whole file is read."""
+    # Comments are not in the syntax tree: lines of the tokens join both.
     source = textwrap.dedent(inspect.getsource(model))
     comments = {
         token.start[0]: token.string.lstrip("# ")

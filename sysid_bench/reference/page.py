@@ -34,6 +34,7 @@ def markdown_line(text: str) -> str:
     """Return text as one line of Markdown; what stands between backticks is code."""
     pieces = _CODE.split(" ".join(text.split()))
     for i in range(0, len(pieces), 2):
+        # Even pieces are text, odd ones code, which prints as it is.
         pieces[i] = _SPECIAL.sub(r"\\\g<0>", pieces[i]).translate(_ENTITIES)
     return "".join(pieces)
 

@@ -306,6 +306,7 @@ def _call(name: str, function: Any) -> str:
     """Signature, with a line per argument where it is long."""
     signature = inspect.signature(function)
     answer = plain_types(inspect.formatannotation(signature.return_annotation)).strip('"')
+    # Written apart, since Python quotes a postponed type.
     inner = signature.replace(return_annotation=inspect.Signature.empty)
     line = f"{name}{plain_types(str(inner))} -> {answer}"
     if len(line) <= _SHORT:

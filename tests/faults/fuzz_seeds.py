@@ -338,6 +338,6 @@ record run 'torque_error > 1e9'
 view run zz --web
 merge run -o merged --mixed
 run run --jobs 1 --shard 1/2 --timeout 60s --limit 1 --rerun failed
-check-plugin raw --kind pipeline
+check-plugin plain --kind pipeline
 doctor --json
 """

@@ -49,6 +49,7 @@ class BatchWorker:
         settings = replace(limits, folder=self._folder)
         self._supervisor = WorkerSet(settings, 1, False, no_progress)
         self._arriving = NewRows(self._folder)
+        # Linux sends a parent's death signal when the thread that forked ends; those of Dask do.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="seat")
         atexit.register(self.close)
 
@@ -96,9 +97,11 @@ class RunFiles:
         """Return the folder of the files on this machine, where they are unpacked once."""
         place = _private_folder() / hashlib.sha256(self.data).hexdigest()[:24]
         if not place.is_dir():
+            # Unpacked beside and renamed: threads and workers of one machine share the folder.
             beside = Path(tempfile.mkdtemp(prefix=".", dir=place.parent))
             try:
                 with tarfile.open(fileobj=io.BytesIO(self.data)) as archive:
+                    # The filter refuses paths that lead out of the folder.
                     archive.extractall(beside, filter="data")
                 beside.rename(place)
             except OSError:
@@ -160,6 +163,7 @@ def _private_folder() -> Path:
     folder = Path(tempfile.gettempdir()) / f"sysid_bench-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
+    # In /tmp anybody may have made a folder of this name before.
     if found.st_uid != os.getuid() or found.st_mode & 0o077 or folder.is_symlink():
         raise UsageError(f"{str(folder)!r} is open to other users; remove it, or set TMPDIR.")
     return folder
@@ -173,6 +177,7 @@ def with_folders(value: Any, places: Mapping[str, str]) -> Any:
     if not places:
         return value
     old = "|".join(re.escape(path) for path in sorted(places, key=len, reverse=True))
+    # A path within a longer name, as /data in /data2, is another one.
     pattern = re.compile(rf"(?<![\w./-])(?:{old})(?![\w.-])")
 
     def replaced(value: Any) -> Any:
@@ -228,6 +233,7 @@ def _seat(limits: WorkerSettings, jobs: Sequence[Job]) -> Iterator[BatchWorker]:
     """Yield an idle seat with these limits for some jobs: one that had their group last if there is
     any, or a new one; seats of other limits end."""
     with _lock:
+        # Other limits mean another run: its workers only hold memory now.
         others = [seat for other in list(_idle) if other != limits for seat in _idle.pop(other)]
         idle = _idle.setdefault(limits, {})
         same = (seat for seat, group in idle.items() if group == jobs[0].group)
@@ -243,6 +249,7 @@ def _seat(limits: WorkerSettings, jobs: Sequence[Job]) -> Iterator[BatchWorker]:
         seat.close()
         raise
     with _lock:
+        # Another batch with other limits may have ended this group of seats meanwhile.
         is_kept = _idle.get(limits) is idle
         if is_kept:
             idle[seat] = jobs[-1].group

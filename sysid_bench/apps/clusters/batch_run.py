@@ -56,6 +56,7 @@ class BatchQueue:
         batch: list[Job] = []
         cost, cells = 0.0, 0
         while self._jobs and (
+            # At least one job; without expected costs the number of cells ends the batch.
             not batch or (cells < most_cells and (cost < most_cost or cost == 0.0))
         ):
             job = self._jobs.select_job(worker)
@@ -126,6 +127,7 @@ class ExecutorRun:
     _notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        # Dask keeps results in the memory of its workers: finished ones can die with them.
         self._owed.update({cell["id"]: cell for _, cell in _cells(self.work.jobs)})
         self._waiting = BatchQueue(self.work.jobs, self.work.seconds)
         self._inbox: queue.SimpleQueue[tuple[_Sent, BatchAnswer | BaseException] | None]
@@ -161,6 +163,7 @@ class ExecutorRun:
             # Send batches until each thread of the engine has enough of them, the idle ones first
             workers = self.engine.workers()
             threads = [(name, k) for name, number in workers.items() for k in range(number)]
+            # One batch for every thread before the second for any: nobody waits while others queue.
             for depth in range(_IN_FLIGHT):
                 for thread in threads:
                     if self._in_flight[thread] <= depth and (self._again or self._waiting):
@@ -238,8 +241,10 @@ class ExecutorRun:
     def _try_again(self, sent: _Sent, reason: str, writer: RowWriter) -> None:
         """Send the jobs of a batch that the engine lost again, one by one; after that they are
         `lost`."""
+        # A lost scheduler takes all batches with it: no try of theirs counts.
         if self.engine.is_lost():
             self._again.extend((job, sent.tries) for job in sent.jobs)
+        # One by one: a job that kills its machine does not take the others of its batch with it.
         elif sent.tries < _MOST_TRIES:
             self._again.extend((job, sent.tries + 1) for job in sent.jobs)
         else:
@@ -249,6 +254,7 @@ class ExecutorRun:
                 )
 
     def _write(self, row: Row, writer: RowWriter) -> None:
+        # A batch that was sent again may be answered twice.
         if self._owed.pop(row["id"], None) is None:
             return
         writer.write(row)

@@ -83,6 +83,7 @@ class Dask:
                 f"The address of a Dask scheduler is HOST:PORT, as dask://127.0.0.1:8786; got "
                 f"{self._host!r}."
             )
+        # Dask without TLS is unauthenticated pickle: who reaches the port runs code.
         if not self.security and not _is_here(name.strip("[]")):
             raise UsageError(
                 f"dask://{self._host} is another host, and Dask without TLS executes what anybody "
@@ -169,7 +170,10 @@ class _Engine:
         try:
             # The bundle at the workers, sent again where those that held it are gone
             if self.bundle is not None and (self._sent is None or self._sent.status != "finished"):
+                # Once to all workers, not with each batch; not hashed, since it may have 1 GB.
                 self._sent = self.client.scatter(self.bundle, broadcast=True, hash=False)
+            # Dask neither joins equal batches (pure) nor retries: losses are counted here. The
+            # worker is a wish, since it may be gone by now.
             future = self.client.submit(
                 run_batch, batch, self._sent, pure=False, retries=0,
                 workers=[worker], allow_other_workers=True,
@@ -194,6 +198,7 @@ class _Engine:
     def workers(self) -> Mapping[str, int]:
         now = time.monotonic()
         if now - self._looked > _LOOK_SECONDS:
+            # Asked now and then: each call is a round trip to the scheduler.
             self._looked, self._workers = now, {}
             if self.client.status == "running":
                 with contextlib.suppress(Exception):  # its scheduler has just gone

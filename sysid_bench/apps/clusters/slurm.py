@@ -40,7 +40,9 @@ class Slurm:
         """Start jobs as there is work, at most `maximum`, and end them at the end."""
         profile, options, maximum = self._read()
         with _cluster(profile) as cluster:
+            # Before the wait for workers: with a refused profile none would ever come.
             _check_job(cluster.job_script())
+            # adapt and not scale: under scale a dead worker is not replaced (dask-jobqueue 611).
             cluster.adapt(minimum=1, maximum=maximum, target_duration=_BATCH_SECONDS)
             with open_dask(cluster, is_secure=False) as client:
                 return run_on(client, work, on_event, options)

@@ -120,6 +120,7 @@ class _EffectKit(Kit[RobotMotion]):
     def moves(self) -> str | None:
         """Finite signals in closed loop, the same in the next call."""
         first, again = self._tracked(), self._tracked()
+        # No controller for this robot: nothing to compare.
         if first is None or again is None:
             return None
         if not np.array_equal(first, again):
@@ -130,6 +131,7 @@ class _EffectKit(Kit[RobotMotion]):
         """Torque (N, n) of a tenth of a second in closed loop; None for robots without one."""
         robot, whole = self.case.robot, motion_of_kit(self.case.robot, 1000.0)
         short = Trajectory(whole.t[:100], whole.q[:100], whole.v[:100], whole.a[:100])
+        # Exact encoders: the law is about the plant.
         still = np.zeros((len(short), len(robot.torque_dofs)))
         try:
             return TrackingControl().run(plant_of(robot, [self.plugin]), short, still)[0].tau

@@ -57,6 +57,7 @@ class _ModelErrorKit(Kit[RobotMotion]):
         return self._applied(self.plugin)
 
     def _applied(self, error: Any) -> Any:
+        # A new generator of one seed each time: a second draw from one would differ by right.
         return error.apply(self.case.robot, np.random.default_rng(SEED))
 
     def given(self) -> Any:

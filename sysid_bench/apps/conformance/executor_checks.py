@@ -42,6 +42,7 @@ def run_cells(argument: Mapping[str, Any], channel: JobChannel) -> None:
                 os.kill(os.getpid(), getattr(signal, "SIGSEGV", signal.SIGTERM))
             case "raises":
                 raise ArithmeticError("asked for")
+        # By cell and seed alone, so that any machine and order of cells gives the same row.
         drawn = np.random.default_rng([argument["seed"], *cell.encode()]).normal(size=50)
         channel.write({"id": cell, "status": "ok", "sum": float(drawn.sum())})
 
@@ -157,6 +158,7 @@ class _ExecutorKit(Kit[_FolderCase]):
             if kind == "row":
                 signal.raise_signal(signal.SIGINT)
 
+        # A process that was started in the background may ignore SIGINT.
         before = signal.signal(signal.SIGINT, signal.default_int_handler)
         try:
             ended, rows = _done(self.plugin, folder, jobs, interrupt)

@@ -102,6 +102,7 @@ class Kit(Generic[C]):
         else:
             kind, laws = self.kind(), [x for x in vars(type(self)).values() if isinstance(x, Law)]
             laws = [law for law in laws if kind in law.of or (not law.of and kind != "none")]
+            # Shapes first: the other laws would raise on a result of another shape.
             for part in (True, False):
                 if not failed_checks(found):
                     found += [self._finding(law) for law in laws if law.first == part]
@@ -125,6 +126,7 @@ class Kit(Generic[C]):
 
 def finding_of_error(error: Exception, law: str, case: str) -> Finding:
     """Finding of an exception: writing to a read-only array violates UNCHANGED, not `law`."""
+    # NumPy's words for writing into a locked array, as those of an experiment are.
     name = UNCHANGED if "read-only" in str(error) else law
     return Finding(name, case, False, f"it raised {reason_of(error)}")
 

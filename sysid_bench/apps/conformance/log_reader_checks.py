@@ -140,6 +140,7 @@ class _LogReaderKit(Kit[_LogCase]):
                 files = [one for one in sorted(damaged.rglob("*")) if one.is_file()]
             else:
                 files = [Path(shutil.copyfile(file, damaged))]
+            # In a folder the largest file holds the samples.
             largest = max(files, key=lambda file: file.stat().st_size)
             largest.write_bytes(largest.read_bytes()[: int(share * largest.stat().st_size)])
             try:

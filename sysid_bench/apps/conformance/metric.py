@@ -59,6 +59,7 @@ def check_metric(metric: Metric, cells: Sequence[MetricInput]) -> list[str]:
     except Exception as error:
         return [reason_of(error)]
     findings = [finding for cell in cells for finding in _on_cell(metric, cell)]
+    # A metric without any value would keep all laws.
     if not findings and all(_value(metric, cell)[0] is None for cell in cells):
         findings.append("No cell has a value.")
     return list(dict.fromkeys(findings))

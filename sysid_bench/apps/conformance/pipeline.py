@@ -163,6 +163,7 @@ class _PipelineKit(Kit[_PipelineCase]):
             name: (getattr(self.result.recording, name), sign * getattr(back, name)[::-1])
             for name, sign in signs.items()
         }
+        # Without decimation, whose first row is another one when time runs backwards.
         x, full = self.result.recording.tau, replace(self.result.rows, step=1)
         rows = [full.apply(x, np.ones(len(x)), given.rate) for x in (x, x[::-1].copy())]
         pairs["the rows"] = (rows[0], rows[1][::-1])

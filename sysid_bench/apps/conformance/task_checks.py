@@ -68,6 +68,7 @@ def check_task(
             cases = [case for pair in zip(cases, with_terms, strict=True) for case in pair]
     message = "it refused every robot with UnsupportedError"
     refused = Finding(_TaskKit.runs, "all robots", False, message)
+    # A task that refuses all would keep every law.
     return _TaskKit.check(definition, cases) or [refused]
 
 

@@ -33,6 +33,7 @@ def page_name(text: str) -> str:
     that is another text: two names have two pages on any disk."""
     plain = re.sub(r"[^a-z0-9_-]+", "-", text.lower()).strip("-")[:_LONGEST]
     if plain == text:
+        # Nothing was replaced: links to old pages stay.
         return plain
     return f"{plain or 'page'}-{hashlib.sha256(text.encode()).hexdigest()[:6]}"
 
@@ -92,6 +93,7 @@ class SiteRun:
         limits = kept.get("run") or {}
         if kept.get("confidence") == LEVEL:  # versions are older than the key
             del kept["confidence"]
+        # Limits of machines change no value; repeats do, and stay.
         kept["run"] = {key: value for key, value in limits.items() if key not in _OF_MACHINES}
         return canonical_hash(kept)[:8]
 
@@ -153,6 +155,7 @@ class SuiteVersion:
         """Cells of all runs, each id once."""
         import pandas as pd
 
+        # The first run of a cell counts: a later submission cannot replace its row.
         kept = pd.concat([run.cells for run in self.runs], ignore_index=True)
         return kept.drop_duplicates("id", ignore_index=True)
 
@@ -223,6 +226,7 @@ def _with_labels(runs: Iterable[SiteRun]) -> Iterator[SiteRun]:
             if known.get(name, method) != method
         }
         known |= {other.get(name, name): method for name, method in run.methods.items()}
+        # `other` as a default: a lambda in a loop would see the last one.
         names = run.cells["estimator"].map(lambda name, other=other: other.get(name, name))
         yield replace(run, cells=run.cells.assign(estimator=names)) if other else run
 

@@ -67,6 +67,7 @@ def relative_speed(times: Mapping[Key, Sequence[Sequence[float]]]) -> dict[Key, 
     of fewer than three show no noise and do not count, parts without any other have no speed."""
     logs = {}
     for key, groups in times.items():
+        # A clock may give 0 s for a short part.
         positive = [[math.log(value) for value in group if value > 0] for group in groups]
         if kept := [group for group in positive if len(group) >= _FEWEST]:
             logs[key] = kept
@@ -135,6 +136,7 @@ def _relative(logs: Mapping[Key, float], noise: Mapping[Key, float]) -> Iterator
     for robot, part in logs:
         others = [key for key in logs if key[0] == robot and key[1] != part]
         if others:
+            # The median, since one part that became slow must not make the others look fast.
             machine = median(map(logs.__getitem__, [(robot, part), *others]))
             error = math.hypot(noise[robot, part], _mean_noise(map(noise.__getitem__, others)))
             yield _change(robot, part, logs[robot, part] - machine, error)

@@ -50,9 +50,11 @@ class Expression:
                 tree = ast.parse(text.strip(), mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise UsageError(f"{text!r} cannot be read as a condition. {_GRAMMAR}") from error
+        # Functions from a checked tree, and no eval: suites come from other people.
         reader = _Reader(text)
         try:
             holds = reader.condition(tree)
+            # Once now: a nesting that is too deep fails here, and not in the first cell.
             holds({})
         except RecursionError as error:
             raise UsageError(f"A condition of {len(text)} letters is nested too deeply.") from error
@@ -126,6 +128,7 @@ class _Reader:
             value = cell.get(name)
             if literal is None:
                 return isinstance(op, (ast.Eq, ast.NotEq)) and (value is not None) == is_negated
+            # `!=` does not select cells that lack the field, either.
             if value is None:
                 return False
             if order := _ORDER.get(type(op)):
@@ -165,11 +168,13 @@ def _literal(node: ast.expr) -> Any:
 
 
 def _equal(value: Any, literal: Any) -> bool:
+    # Alternative names of one thing: any of them may be meant.
     if isinstance(value, tuple):
         return any(_equal(name, literal) for name in value)
     if value == literal:
         return True
     a, b = _number(value), _number(literal)
+    # "0.5 %" is 0.005 up to the rounding of its conversion.
     return a is not None and b is not None and abs(a - b) <= 1e-12 * max(abs(a), abs(b))
 
 

@@ -71,6 +71,7 @@ def default_names(robots_dir: Path | None = None) -> Names:
         manifest, names = find_manifest(source, robots_dir, folder), sensor_names(text)
         if set(names) <= {sensor.name for sensor in manifest.sensors}:
             return names  # known from the manifest, without loading the model
+        # A place that is not in the manifest: only the model knows its joints, sites and bodies.
         loaded = load_robot(manifest)
         return [subtree_at(loaded, name, ()) for name in names]
 
@@ -138,12 +139,14 @@ def _definition(kind: str, use: str) -> ast.stmt | None:
     if file.suffix != ".py":
         return None  # compiled
     try:
+        # Parsed and not imported: --no-code executes nothing of a suite.
         tree = ast.parse(read_data(file), str(file))
     except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
         raise UsageError(f"{str(file)!r} is not valid Python: {error}.") from error
     names = {name: one for one in _statements(tree.body) for name in _names_of(one)}
     if names.keys().isdisjoint((attribute, "*", "__getattr__")):
         raise unknown_name(f"object in {str(file)!r}", attribute, names)
+    # None for `*` and __getattr__: the object may be there, but no statement shows it.
     return names.get(attribute)
 
 

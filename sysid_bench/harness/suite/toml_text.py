@@ -53,6 +53,7 @@ def _text(text: str) -> str:
 
 
 def _value(value: Any) -> str:
+    # Before numbers: True is an int.
     if isinstance(value, bool):
         return json.dumps(value)
     if isinstance(value, str):
@@ -123,6 +124,7 @@ class _Scanner:
         return match[0]
 
     def note(self, key: Key, start: int) -> None:
+        # The first line of a key: a table whose parts are apart is reported at its beginning.
         self.lines.setdefault(key, self.text.count("\n", 0, start) + 1)
 
     def header(self) -> Key:
@@ -181,6 +183,7 @@ class _Scanner:
         elif self.peek("{"):
             self.items(key, "}")
         else:
+            # The first that matches, longer quotes before shorter ones: '""' begins '"""'.
             any(self.take(pattern) for pattern in _VALUES)
 
     def items(self, key: Key, end: str) -> None:

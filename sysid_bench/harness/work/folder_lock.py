@@ -32,9 +32,11 @@ def folder_lock(folder: Path) -> Iterator[int | None]:
     if fcntl is None:
         yield None
         return
+    # flock and not a file that is there or not: the kernel takes it from processes that are killed.
     path = folder / ".lock"
     if os.path.lexists(path) and not is_file(path):
         raise UsageError(f"{str(path)!r} is not a file, so that it cannot lock; remove it.")
+    # Without O_TRUNC: until the lock is ours, the file names its present holder.
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         _acquire(path, descriptor)
@@ -47,6 +49,7 @@ def folder_lock(folder: Path) -> Iterator[int | None]:
             raise UsageError(f"{str(path)!r} cannot lock ({error.strerror}); remove it.") from error
         yield descriptor
     finally:
+        # Closed, not unlocked: LOCK_UN would take the lock from workers that inherited it.
         os.close(descriptor)
 
 
@@ -58,6 +61,7 @@ def _acquire(path: Path, descriptor: int) -> None:
             return
         except BlockingIOError as error:
             holder = os.pread(descriptor, 20, 0).decode(errors="replace")
+            # The holder is dead, yet the lock is held: by its workers, which are about to end.
             if _is_alive(holder) or time.monotonic() > until:
                 ours = f"process {os.getpid()} "
                 others = [text for text in process_lines(path) if ours not in text]
@@ -74,6 +78,7 @@ def _is_alive(process: str) -> bool:
     if not process.isdigit():
         return False
     try:
+        # Signal 0 only asks. "Not permitted" means that another user's process has the number.
         os.kill(int(process), 0)
     except ProcessLookupError:
         return False

@@ -46,11 +46,15 @@ def start_process(parent: int, close: Callable[[], None]) -> None:
     """
     if sys.platform != "linux":
         return
+    # An ignored SIGCHLD, which is inherited, would take away exit codes of children.
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     ends = {signal.SIGCHLD, signal.SIGTERM}
+    # Blocked before the fork, so that an end that comes at once waits for sigwait.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ends | {signal.SIGINT, signal.SIGHUP})
     kill_with(parent, signal.SIGTERM)
     guard = os.getpid()
+    # The guard is the parent: a worker that is killed could not clean up behind itself, while its
+    # parent, as a subreaper, gets all that it leaves.
     fork = os.fork()
     if fork == 0:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -58,8 +62,10 @@ def start_process(parent: int, close: Callable[[], None]) -> None:
         return
     close()
     codes = dict[int, int]()
+    # SIGTERM ends the wait as well: from the supervisor, or from the kernel when it is gone.
     while fork not in codes and signal.sigwait(ends) == signal.SIGCHLD:
         with contextlib.suppress(ChildProcessError):
+            # Pending signals of one kind are one: a SIGCHLD may stand for several children.
             while (ended := os.waitpid(-1, os.WNOHANG))[0]:
                 codes[ended[0]] = os.waitstatus_to_exitcode(ended[1])
     codes |= kill_subtree()
@@ -97,6 +103,7 @@ def kill_subtree() -> dict[int, int]:
 def kill_tree(mark: str, also: Iterable[int] = ()) -> None:
     """End every process whose environment has this mark, and the processes `also`."""
     kill(also)
+    # By environment, since it stays where a process changed its group, session and parent.
     wanted = f"{MARK}={mark}".encode()
     for _ in range(_ROUNDS):
         found = list[int]()

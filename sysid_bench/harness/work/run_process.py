@@ -58,12 +58,14 @@ def run_process(
         if not _has_ended(child):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
+        # Until here the child was a zombie, so that no other process could have its number.
         _, state = os.waitpid(child, 0)
         kill_subtree()
     if last is not None:
         match last["end"]:
             case None:
                 return None
+            # Third-party code can write into this pipe: what is not an end of ours is its fault.
             case [str(status), str(reason), str(text)] if status in STATUSES:
                 return ProcessEnd(status, reason, text)
         return ProcessEnd("crash", "its process wrote into the pipe of its result")
@@ -80,6 +82,8 @@ def end_of_process(code: int) -> tuple[str, str]:
         name = signal.Signals(-code).name
     except ValueError:
         name = f"signal {-code}"
+    # SIGKILL comes from outside (a user, the memory of the machine): not the method's failure, and
+    # the cell is tried again.
     status = "lost" if name == "SIGKILL" else "crash"
     return status, f"its process was killed by {name}"
 
@@ -92,6 +96,8 @@ def _start_child(function: Callable[[Send], Any]) -> tuple[int, int]:
         with warnings.catch_warnings():
             # The other thread of a worker waits for its input and holds no lock that a child takes.
             warnings.simplefilter("ignore", DeprecationWarning)
+            # A fork has the prepared experiment and the engines, each of which is imported for half
+            # a second. It keeps faults in, and no cheat out: the truth is in its memory.
             child = os.fork()
     except OSError:
         os.close(read_end)
@@ -135,6 +141,7 @@ def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
     except BaseException:  # closed descriptors: the parent sees a process without an end
         os._exit(1)
     finally:
+        # Not sys.exit(): exit hooks and buffers that the fork inherited are its parent's.
         os._exit(0)
 
 

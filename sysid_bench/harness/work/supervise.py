@@ -112,8 +112,12 @@ class WorkerSet:
     on_event: OnEvent
 
     def __post_init__(self) -> None:
+        # Not a pool of loky or concurrent.futures: where one of 200 tasks killed its process, they
+        # lost 144 others (measured; joblib's run ended), and none can end a task that hangs.
         self.waiting = JobQueue()
         self.workers: list[Worker] = []
+        # A signal handler puts into it: `put` of SimpleQueue may interrupt its own `get`, while the
+        # lock of queue.Queue would block for ever.
         self.inbox: Inbox = queue.SimpleQueue()
         self.writer: RowWriter | None = None
         self.failures = 0
@@ -131,6 +135,7 @@ class WorkerSet:
             try:
                 worker, notice = self.inbox.get(timeout=pause)
                 while True:
+                    # Late notices of a worker that was settled: its cells have rows, or wait again.
                     if worker is not None and worker in self.workers:
                         self._handle_notice(worker, notice)
                     worker, notice = self.inbox.get_nowait()
@@ -162,6 +167,7 @@ class WorkerSet:
 
     def _assign_jobs(self) -> None:
         while self.waiting:
+            # Processes stay from job to job: importing both engines again takes a second.
             worker = next((idle for idle in self.workers if idle.is_free), None)
             if worker is None:
                 if len(self.workers) >= max(1, self.max_workers):
@@ -221,6 +227,7 @@ class WorkerSet:
                     "gone. Run again: only cells without a row run."
                 )
         for worker in list(self.workers):
+            # One that ended behind its deadline is a timeout, whatever its last signal was.
             if worker.process.poll() is not None and not worker.is_late:
                 self._end_worker(worker, *worker.end())
             elif end := worker.over_limit(memory=look and worker.job is not None):
@@ -283,6 +290,7 @@ class WorkerSet:
         for cell in list(cells):
             row = row_of_end(worker.open_cells.pop(cell), status, reason, more)
             with write_errors(self.settings.folder):
+                # Most runs have no such row, and no such file.
                 if self.writer is None:
                     file = new_row_file(self.settings.folder / "cells", "supervisor")
                     self.writer = RowWriter(file)

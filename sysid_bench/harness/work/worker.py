@@ -56,12 +56,15 @@ class _Left(BaseException):
 
 def main() -> None:
     """Run jobs until the input ends."""
+    # Before anything else: what an import prints would be read as a notice.
     jobs_in, notices_out = _take_pipes()
+    # A crash in compiled code leaves a line in the log, which the supervisor takes as its reason.
     faulthandler.enable(all_threads=False)
     inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     settings = json.loads(jobs_in.readline() or b"null")
     if settings is None:
         return
+    # Before the first thread: a fork goes on with the calling thread alone.
     start_process(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
     if settings["memory"] is not None and resource is not None:
         # Allocations beyond the limit raise MemoryError, in this process and its forks.
@@ -75,6 +78,7 @@ def main() -> None:
         os._exit(1)
 
     threading.Thread(target=listen, daemon=True).start()
+    # Plug-ins are found as in the process that planned their cells.
     sys.path[:] = list(dict.fromkeys([*settings["path"], *sys.path]))
     with RowWriter(Path(settings["rows"])) as writer:
         while True:
@@ -129,6 +133,7 @@ def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> bool:
     try:
         module, _, name = job["call"].partition(":")
         function: Function = getattr(importlib.import_module(module), name)
+        # The module is imported: from here on the job's own time limit holds.
         notify({"begin": True})
         channel = _StoringChannel(job["call"], set(job["cells"]), job["losses"], writer, notify)
         value = function(job["argument"], channel)
@@ -193,6 +198,7 @@ class _Channel:
             if not isinstance(cell, str) or cell not in self.open_cells & heads.keys():
                 return  # forged: the child refuses it too
             if isinstance(row, dict):
+                # First for the order of the fields, last for their values.
                 self.write(heads[cell] | row | heads[cell])
             else:
                 self.start_cell(cell)

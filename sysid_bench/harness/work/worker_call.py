@@ -68,9 +68,11 @@ class CallWorker:
         process or needs more memory than the limit; UsageError for an argument that is not JSON.
         """
         try:
+            # Here, for the error: the thread that sends would die of it, and the call would hang.
             json.dumps(argument)
         except (TypeError, ValueError) as error:
             raise UsageError(f"{title}: its settings are not JSON values ({error}).") from error
+        # On the first call: a suite without third-party names starts no process.
         if self._worker is None:
             folder = Path(self._folder.name)
             settings = WorkerSettings(folder, self.timeout, threads=1, memory=self.memory)
@@ -78,6 +80,7 @@ class CallWorker:
         self._worker.start_job(Job(function, argument, cells=()))
         try:
             notice = self._last_notice(self._worker, on_progress)
+        # In the midst of a call, after Ctrl-C: the worker cannot take another one.
         except BaseException:
             self._end()
             raise
@@ -113,6 +116,7 @@ class CallWorker:
                     notice, end = heard or {}, worker.end() if heard is None else None
             except queue.Empty:
                 has_ended = worker.process.poll() is not None and not worker.is_late
+                # No notice: a dead worker whose pipe is held open, or one over its limits.
                 end = worker.end() if has_ended else worker.over_limit()
             if end is not None:
                 return {"status": end[0], "dead": end[1]}

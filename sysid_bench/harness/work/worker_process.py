@@ -130,9 +130,12 @@ class Worker:
         self.log_file.parent.mkdir(exist_ok=True)
         self._log = BoundedLog(self.log_file)
         self._log_start = 0
+        # A mark and a temporary folder of its own find, at the end, what third-party code has left.
         self._mark = uuid.uuid4().hex
         self._scratch = tempfile.mkdtemp(prefix="sysid_bench_")
         self._outbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        # A new interpreter, not a fork, which would copy locks of the supervisor's threads; and not
+        # multiprocessing's spawn, which needs a __main__ guard in the script of the caller.
         self.process = subprocess.Popen(
             [sys.executable, "-m", "sysid_bench.harness.work.worker"],
             stdin=subprocess.PIPE,
@@ -153,6 +156,7 @@ class Worker:
         self._outbox.put(
             {
                 "parent": os.getpid(),
+                # "" is the working directory, as long as nothing changes it.
                 "path": [entry or os.getcwd() for entry in sys.path],
                 "rows": str(self.rows_file),
                 "memory": self.settings.memory,
@@ -229,6 +233,7 @@ class Worker:
 
     def kill(self) -> None:
         """Kill the process and all that it has started; its last notices are in the inbox then."""
+        # Now: what a dead process leaves is below it no more.
         below = tree_of(self.process.pid)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.terminate()  # its guard ends all that it has started
@@ -241,8 +246,10 @@ class Worker:
         self.process.wait()
         kill_tree(self._mark, below)
         if self.process.stdin is not None:
+            # Another sign than None, which is a message: it lets an idle worker end.
             self._outbox.put(StopIteration)
         for thread in self._threads:
+            # The pipe may be kept open by a process that was not found; its thread is left then.
             thread.join(timeout=1.0)
         if not any(thread.is_alive() for thread in self._threads):
             for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
@@ -314,6 +321,7 @@ class Worker:
 
 def worker_environment(threads: int) -> Mapping[str, str]:
     """Return the environment of a process that imports this package, with a number of threads."""
+    # In the environment, before the start: libraries of BLAS read these once, when they are loaded.
     environment = {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, str(threads))}
     home = Path(__file__).resolve().parents[3]
     if home.name not in ("site-packages", "dist-packages"):

@@ -209,17 +209,7 @@ def coupling_of(
 
     Raises UsageError for an unknown name, ModelError for a coupling that cannot be used.
     """
-    for name in independent:
-        if name not in dofs.names:
-            raise unknown_name("joint in coupling.independent", name, dofs.names)
-    motors, wanted = (
-        frozenset(dof for dof, name in enumerate(dofs.names) if name in selected)
-        for selected in (actuated, independent)
-    )
-    groups = tuple(
-        group_of(members, dofs.coordinates, dofs.names, motors, wanted)
-        for members in group_constraints(constraints)
-    )
+    groups = _groups(constraints, dofs, actuated, independent)
     following = np.sort(np.concatenate([group.dofs[group.dependent] for group in groups]))
     moving = np.setdiff1d(np.arange(len(dofs.names)), following)
     if len(moving) == 0:
@@ -254,6 +244,25 @@ def coupling_of(
         slower=slower[moving],
         bounds=bounds[:, following],
         repairs=tuple(repairs),
+    )
+
+
+def _groups(
+    constraints: Sequence[Constraint],
+    dofs: Dofs,
+    actuated: Sequence[str],
+    independent: Sequence[str],
+) -> tuple[Group, ...]:
+    for name in independent:
+        if name not in dofs.names:
+            raise unknown_name("joint in coupling.independent", name, dofs.names)
+    motors, wanted = (
+        frozenset(dof for dof, name in enumerate(dofs.names) if name in selected)
+        for selected in (actuated, independent)
+    )
+    return tuple(
+        group_of(members, dofs.coordinates, dofs.names, motors, wanted)
+        for members in group_constraints(constraints)
     )
 
 

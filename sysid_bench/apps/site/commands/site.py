@@ -100,6 +100,7 @@ class Site(Request["SiteResult"]):
             return SiteResult(None, [], checks)
         pages = site_pages([*read, *map(_submitted_run, checks)])
         for name in _OWN:
+            # Pages of runs that are gone must not stay; other files in the folder are not ours.
             shutil.rmtree(out / name, ignore_errors=True)
         # leaderboard.json last: what reads it finds the pages that it names.
         for path in sorted(pages, key=lambda name: name == LEADERBOARD):
@@ -270,6 +271,7 @@ def find_rate(cells: int, drawn: int, share: float) -> float:
 
 def random_cells(ids: list[str], share: float, seed: int) -> list[str]:
     """Return a share of the cells, rounded up, that the seed decides; the same on every machine."""
+    # By hash and not by a generator, whose stream may change between versions of Python.
     order = sorted(ids, key=lambda one: hashlib.sha256(f"{seed} {one}".encode()).digest())
     return order[: math.ceil(share * len(ids))]
 
@@ -314,6 +316,7 @@ def without_frames(folder: Path) -> "Iterator[RunFolder]":
                 shutil.copytree(source, copy / name)
             elif is_file(source):
                 shutil.copyfile(source, copy / name)
+        # Rows alone: data frames of a submission could say what its rows do not.
         yield RunFolder(copy)
 
 
@@ -336,6 +339,7 @@ def check_submission(
 
     if not 0 < share <= 1:
         raise UsageError(f"The share is {share:g}; give a part of the cells, above 0 and up to 1.")
+    # Not from `random`, whose next numbers can be told from earlier ones.
     chosen = secrets.randbelow(2**32) if seed is None else seed
     with without_frames(Path(folder)) as run:
         rows = run.rows()
@@ -352,6 +356,7 @@ def check_submission(
             for name, row in rows.rows.items()
             if name in known and row["status"] not in _OF_MACHINES
         )
+        # Cells of another plan need no run to be refused, and their code is not executed.
         drawn = [] if planned else random_cells(ids, share, chosen)
         different = _differences(run, suite, drawn, jobs, on_event) if drawn else []
     return CheckResult(
@@ -371,6 +376,7 @@ def _not_of_the_suite(run: "RunFolder", suite: "Suite") -> list[str]:
     from sysid_bench.harness.worker_names import worker_names
 
     with worker_names(suite.robots_folder) as names:
+        # From the suite, not from the plan of the submission, which could leave hard cells out.
         made = cells_of_suite(suite, names, large=True)
     wanted = {cell.id: cell.first_fields for cell in made.cells}
     planned = run.planned_fields
@@ -395,6 +401,7 @@ def _differences(
 
     select = f"id in [{', '.join(map(repr, cells))}]".replace("'", '"')
     numbers = (name for name in names_of("cell") if not METRICS[name].text)
+    # Times and memory differ on any machine, and are no sign of another answer.
     metrics = tuple(name for name in numbers if name not in MACHINE_FIELDS)
     with tempfile.TemporaryDirectory(prefix="sysid-bench-") as folder:
         again = execute(

@@ -155,6 +155,7 @@ class SurveyResult(Result):
         """Write the values that a later survey can be compared with."""
         from sysid_bench.apps.surveys.survey import baseline_text
 
+        # A baseline is replaced whole: an interrupted write must not cost the old one.
         part = Path(file).with_name(f"{Path(file).name}.part")
         part.write_text(baseline_text(self.surveyed), encoding="utf-8")
         part.replace(file)
@@ -196,6 +197,7 @@ def survey(
     found = _records(jobs, folder)
     changes: Sequence[Change] = []
     if known is not None and ending == "finished":
+        # Models that were not asked for are not gone.
         if asked.limit is not None:  # the part of the baseline with the models of these jobs
             chosen = {job.argument["id"] for job in jobs}
             known = {name: values for name, values in known.items() if name in chosen}
@@ -232,6 +234,7 @@ def _jobs(place: Path, asked: SurveyRequest) -> "list[Job]":
         more = {"code": package_hash(), "model": digest, "samples": asked.samples}
         argument = {"id": name, "file": str(file.resolve()), "assets": assets, "more": more}
         names = (name, ENGINES + name) if asked.engines else (name,)
+        # Fields of the row, too: a row of another file, code or number of states does not count.
         cells = tuple({"id": cell, **more} for cell in names)
         jobs.append(Job(CALL, argument, cells))
     return jobs

@@ -61,6 +61,7 @@ def _degrees_of_freedom(engine: str, file: Path) -> int | str:
 
 
 def _in_pinocchio(file: Path) -> pinocchio.Model:
+    # By content: URDF files are called .xml as well.
     if b"<robot" in file.read_bytes():
         return pinocchio.buildModelFromUrdf(str(file))
     return pinocchio.buildModelFromMJCF(str(file))
