@@ -2,7 +2,7 @@
 
 A table of a row, a list of entries with the same keys, is written by column: {"columns": {key:
 values}}. Readers return lists of entries; files with lists of entries are read, too. Each line ends
-with the hash of its row (see row_hash.py): a row that was changed afterwards is not a row.
+with the hash of its row: a row that was changed afterwards is not a row.
 """
 
 import contextlib
