@@ -2,7 +2,7 @@
 
 A table of a row, a list of entries with the same keys, is written by column: {"columns": {key:
 values}}. Readers return lists of entries; files with lists of entries are read, too. Each line ends
-with the hash of its row (see row_hash.py): a row that was changed afterwards is not a row.
+with the hash of its row: a row that was changed afterwards is not a row.
 """
 
 import contextlib
@@ -120,7 +120,7 @@ class RowStart(NamedTuple):
 
 
 class RowWriter:
-    """Appends rows to its own file; once `append` returns, the operating system holds the row."""
+    """Appends rows to its own file; once `write` returns, the operating system holds the row."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
