@@ -92,7 +92,8 @@ class Cells(Request["CellsResult"]):
         found = [cell for cell in merged if condition is None or condition.holds(cell)]
         if self.sample is not None:
             # The smallest hashes: the same cells on every machine, whatever else is selected.
-            order = sorted((cell["id"] for cell in found), key=_hash)
+            every = (cell["id"] for cell in found)
+            order = sorted(every, key=lambda one: hashlib.sha256(one.encode()).digest())
             drawn = {*order[: self.sample]}
             found = [cell for cell in found if cell["id"] in drawn]
         if by:
@@ -183,10 +184,6 @@ def _cell_text(value: Any) -> str:
     if isinstance(value, float):
         return value_text(value)
     return "-" if value is None else markdown_text(label(value))
-
-
-def _hash(identifier: str) -> bytes:
-    return hashlib.sha256(identifier.encode()).digest()
 
 
 def _value(cell: Mapping[str, Any], name: str) -> Any:

@@ -114,6 +114,7 @@ _MOST = 500
 def _runs(word: str, arguments: Sequence[str]) -> Iterator[str]:
     """Run folders here, in reports/ and runs/, and beside what was begun."""
     for place in dict.fromkeys((".", "reports", "runs", os.path.dirname(word) or ".")):
+        # Not `stored_run.run_names`: its imports would take longer than the answer.
         folder = Path(place).expanduser()
         for entry in sorted(folder.iterdir())[:_MOST] if folder.is_dir() else ():
             if (entry / _PLAN).is_file():

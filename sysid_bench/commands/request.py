@@ -95,6 +95,7 @@ def model(metavar: str, *, default: Any = dataclasses.MISSING, **words: Any) -> 
 
 def _field(default: Any, spec: Option) -> Any:
     if isinstance(default, (dict, list)):
+        # A fresh one for each request: dataclasses refuse a default that can be changed.
         return field(default_factory=default.copy, metadata={SPEC: spec})
     return field(default=default, metadata={SPEC: spec})
 
@@ -168,6 +169,7 @@ class Request(Generic[R]):
     def __init_subclass__(cls, **words: Any) -> None:
         super().__init_subclass__(**words)
         cls.__doc__ = inspect.getdoc(cls)  # that of the class above, where a shell class has none
+        # Here, so that a verb is a class with fields and nothing else.
         dataclass(frozen=True, repr=False)(cls)
 
     def run(self) -> R:

@@ -1,7 +1,7 @@
 """Base of the results that commands return: frozen records that also read as mappings."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from html import escape
@@ -53,13 +53,15 @@ class Result(Mapping[str, Any]):
     def _make_plain(self) -> None:
         """Replace the fields by their JSON values; for use in `__post_init__`."""
         for entry in fields(self):
+            # The record is frozen; in __post_init__ nobody has seen it yet.
             object.__setattr__(self, entry.name, plain(getattr(self, entry.name)))
 
     def __getitem__(self, key: str) -> Any:
         values = self._fields()
         if key in values:
             return values[key]
-        raise KeyError(_with_hint(str(key), values))
+        near = get_close_matches(str(key), list(values), n=1, cutoff=NEAR)
+        raise KeyError(f"{key}; did you mean {near[0]!r}?" if near else str(key))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._fields())
@@ -104,12 +106,6 @@ def interval_text(low: float, high: float) -> str:
     if ends[0] == ends[1]:
         return f"{0.5 * (low + high):.4g} ± {0.5 * (high - low):.1g}"
     return f"[{', '.join(ends)}]"
-
-
-def _with_hint(key: str, known: Iterable[str]) -> str:
-    """Unknown key with the nearest one."""
-    near = get_close_matches(key, list(known), n=1, cutoff=NEAR)
-    return f"{key}; did you mean {near[0]!r}?" if near else key
 
 
 def _inline(value: Any) -> str:

@@ -40,6 +40,7 @@ def binding_errors(problem: Problem, tests: Mapping[str, Problem]) -> list[dict[
     bodies = {body.name for body in problem.bodies}
     of_bodies = [name for name in binding if name in bodies]
     of_terms = [name for name in binding if name not in bodies]
+    # Left out singly a constraint may cost nothing where a neighbour holds the same base parameter.
     groups = zip(GROUPS, (of_bodies, of_terms), strict=True)
     left_out = [(name, members) for name, members in groups if len(members) > 1]
     left_out += [(name, [name]) for name in binding[:TRIED]]

@@ -72,6 +72,8 @@ def motion_fit(problem: Problem, estimate: Estimate) -> MotionFit | str:
     if len(problem.motions) < ENOUGH_MOTIONS:
         count = max(len(problem.motions), 1)
         return f"{count} training motion{'s' if count > 1 else ''}; {ENOUGH_MOTIONS} are needed"
+    # Weights of all motions: the spread is that of one estimator, not of as many as there are
+    # parts.
     weights = (1 / estimate.sigma).tolist()
     factors = [stacked_factor(motion, weights) for motion in problem.motions]
     betas, errors = [], []

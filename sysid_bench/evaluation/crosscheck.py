@@ -93,6 +93,7 @@ def check_coupling(robot: RobotModel, samples: int) -> CouplingCheck:
     Y = torque_regression(robot, robot.inertial_columns).dense(motion).Y
     reference = reduced_regressor(robot, motion, pinocchio_regressor(robot, motion)).Y
     tau, violation = independent_torque(robot, motion)
+    # Rotors of dependent joints turn as well, and act on the drives through G.
     armature = coupling.reduced(motion.q, robot.joint_terms.armature * motion.a)
     return CouplingCheck(
         gap=relative_error(Y - reference, reference),

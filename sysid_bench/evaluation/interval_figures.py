@@ -52,6 +52,8 @@ def interval_fields(
     means over the parameters of a class; widths and scores as shares of the torque."""
     R = stacked_factor(problem)
     size = np.linalg.norm(R, axis=0)
+    # RMS torque of a unit of each parameter over the whole one: makes widths in kg and kg m^2
+    # comparable.
     shares = np.asarray(size[:-1] / size[-1]) if size[-1] > 0 else np.zeros(len(size) - 1)
     fields: dict[str, Any] = {"friction_target": targets.friction}
     for one in CLASSES:

@@ -113,6 +113,7 @@ def _error_figures(tests: list[Problem], beta: Array, beta_true: Array) -> dict[
     R = np.concatenate([stacked_factor(problem)[:, :r] for problem in tests])
     return {
         "torque_error_sample": _sample_error(tests, beta),
+        # In the metric of the held-out torques: a parameter that acts on none of them may be wrong.
         "parameter_error": _relative(R @ (beta - beta_true), R @ beta_true),
     }
 

@@ -127,6 +127,7 @@ def wrench_errors(
     for name, phi in phis.items():
         wrench = method.contact_wrench(phi, f_b) - contact
         alone = (method.Y_c @ phi - tau)[free]
+        # Hinges and slides apart: N m and N have no common RMS.
         torque, slide = method.joint_torque(phi, f_b) - tau, method._is_force
         out[name] = WrenchErrors(
             torque=rms(torque[:, ~slide]),

@@ -166,8 +166,10 @@ def is_stale(row: Row, fingerprint: str) -> bool:
 
     What is gone (an empty `fingerprint`, an absent file) proves nothing: such a row is not stale.
     """
+    # Absent files prove nothing: else a moved folder turned 6 of 8 good rows into failures.
     if fingerprint and row.get("fingerprint") != fingerprint:
         return True
+    # What a plug-in's file imports is in no fingerprint; rows state the files that were loaded.
     return bool(stale_sources(row.get("sources") or {}))
 
 
@@ -177,6 +179,7 @@ def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell
     known: dict[str, str] = {}
 
     def fingerprint(cell: Cell) -> str:
+        # Cells differ by seed, noise and repeat, and share their code and models.
         key = cell.code_key
         if key not in known:
             known[key] = cell_fingerprint(cell, robots_dir, suite.folder, metrics)
@@ -189,6 +192,7 @@ def other_code(folder: RunFolder, counts: RowCounts) -> int:
     """Return the number of rows of a run that are from other code, models or libraries than now."""
     fingerprint = current_fingerprint(folder.suite, folder.suite.robots_folder)
     cells = folder.cells_at({kind.cell for kind in counts.rows})
+    # One cell for each kind of row: a status over a million rows stays quick.
     now = {place: fingerprint(cell) for place, cell in cells.items()}
     others = 0
     for kind, count in counts.rows.items():

@@ -382,6 +382,7 @@ class FrameFiles:
         for frame, file in self._files.items():
             for column in file.schema_arrow:
                 found, wanted = column.type, schemas[frame].field(column.name).type
+                # A wider column holds the same values; texts would need the numbers' digits.
                 is_wider = found == "int64" and wanted == "double"
                 if not (found == wanted or found == "null" or is_wider):
                     raise ValueError(f"{column.name!r} changes from {found} to {wanted}.")
@@ -539,6 +540,7 @@ def _start_hash(path: Path, size: int) -> str:
     """Return the sha256 of the first bytes of a file."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
+        # Not the whole file: its writer may have appended since.
         while size > 0 and (block := file.read(min(size, _BLOCK))):
             digest.update(block)
             size -= len(block)
@@ -583,11 +585,13 @@ def _consolidate(
     target = out or folder
     plan = file_hash(folder / "plan.jsonl")
     with ExitStack() as stack:
+        # On disk: with the rows of 10,000 cells in memory, the end of a run took 1.8 GB.
         copy = stack.enter_context(tempfile.TemporaryFile(dir=target))
         files = FrameFiles(folder, earlier) if earlier else None
         scan = _Scan(planned, copy, earlier, files)
         covered = scan.read(row_files(folder / "cells"))
         text = _part_file(target, COVERAGE_FILE)
+        # Nothing new: the files stay, and only what they cover is stated anew.
         if earlier and out is None and not scan.places:
             footers = earlier.footers
             parts = dict[str, Path]()
@@ -609,6 +613,7 @@ def _consolidate(
 
 def _part_file(folder: Path, name: str) -> Path:
     """Return the file beside a file that will replace it; remove those of killed processes."""
+    # The caller holds the lock of the run, so that none of them is being written.
     for old in folder.glob(f".{name}.*"):
         with suppress(OSError):
             old.unlink()
@@ -724,6 +729,7 @@ def _write_parts(scan: _Scan, paths: Mapping[str, Path], files: FrameFiles | Non
     if files is not None:
         files.check_types(schemas)
     # With checksums a damaged page is an error, and not another number.
+    # 10,000 rows took 12 MB and 0.1 s to read, as JSON lines 36 MB and 1 to 2 s.
     options = {"compression": "zstd", "write_page_checksum": True}
     with ExitStack() as stack:
         writers = {

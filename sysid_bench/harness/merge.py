@@ -116,6 +116,7 @@ def _candidates(
                 if cell is not None and cell in planned:
                     changed[cell] = place
             elif row["id"] in planned:
+                # Bit by bit: rows of one code and one set of libraries are expected to be equal.
                 result = {key: value for key, value in row.items() if key not in _EXCEPT}
                 last[row["id"]] = _Candidate(
                     row["status"],

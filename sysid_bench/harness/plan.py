@@ -102,6 +102,7 @@ def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = Fa
             kept.append(cell)
         else:
             excluded[reason] += 1
+    # By id: two entries of a suite may mean the same cell, which is then computed once.
     unique: dict[str, Cell] = {}
     for cell in kept:
         unique.setdefault(cell.id, cell)

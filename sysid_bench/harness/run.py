@@ -89,14 +89,17 @@ def run(
     ("code", {note}) where third-party code will run, ("plan", {cells, open, tasks, seconds}), then
     the events of the executor. Raises UsageError before any run.
     """
+    # Checked before suites and models are read, which may take seconds.
     request = _Request(
         select, limit, shard, timeout=timeout, rerun=rerun, jobs=jobs, fail_fast=fail_fast,
         call=call, robots_dir=robots_dir,
     )  # fmt: skip
     on_event = on_event or no_progress
+    # An executor that is not there is an error before the suite is read.
     chosen = executor_of(executor)
     source, overrides = suite_or_folder, overrides or {}
     if not isinstance(source, Suite) and is_folder(Path(source)):
+        # A run that is named goes on with its frozen suite, whatever its file says today.
         folder = _open_run(Path(source), out, overrides)
     else:
         with nullcontext(names) if names else worker_names(robots_dir) as known:

@@ -113,7 +113,12 @@ def run_time(cells: Sequence[Cell], earlier: StoredTimes) -> RunTime:
             keys = _experiment_keys(cell.experiment, cell.labels)
             parts.append((cost.experiment, _first(earlier.experiments, keys)))
     robots = {(cell.labels["robot"], cell.labels["payload"]) for cell in cells}
-    ratio = _ratio(parts)
+    # Earlier times over those of the table, 1 without any.
+    both = [(table, found) for table, found in parts if found is not None]
+    of_table, of_rows = map(sum, zip(*both, strict=True)) if both else (0.0, 0.0)
+    ratio = 1.0
+    if of_table > 0 and of_rows > 0:
+        ratio = min(max(of_rows / of_table, 1 / _LARGEST), _LARGEST)
     seconds = (table * ratio if found is None else found for table, found in parts)
     total = run_cost(seconds, len(robots)) if cells else 0.0
     runs = sorted({earlier.runs[cell.id] for cell in cells if cell.id in earlier.runs})
@@ -122,10 +127,3 @@ def run_time(cells: Sequence[Cell], earlier: StoredTimes) -> RunTime:
 
 def _first(times: Mapping[Key, float], keys: Iterable[Key]) -> float | None:
     return next((times[key] for key in keys if key in times), None)
-
-
-def _ratio(parts: Iterable[_Part]) -> float:
-    """Earlier times over those of the table, 1 without any."""
-    both = [(table, found) for table, found in parts if found is not None]
-    table, found = map(sum, zip(*both, strict=True)) if both else (0.0, 0.0)
-    return min(max(found / table, 1 / _LARGEST), _LARGEST) if table > 0 and found > 0 else 1.0

@@ -116,6 +116,7 @@ class RunFolder:
         with folder.lock():
             hashed = True
             if is_file(path / PLAN):
+                # By cells, not by the text of the suite: another table or title is no other run.
                 stored = {cell.id for cell in folder.plan.cells}
                 planned = {cell.id for cell in plan.cells}
                 if stored != planned:
@@ -146,6 +147,7 @@ class RunFolder:
         (self.path / "cells").mkdir(parents=True, exist_ok=True)
         (self.path / "logs").mkdir(exist_ok=True)
         self.write("run.toml", suite_text(suite))
+        # That of a run that goes on is the environment of its rows until it computes again.
         if not (self.path / "env.json").is_file():
             self.write_environment(env)
         self._write_parts(PLAN, plan)  # last: from now on it is a run
@@ -251,6 +253,7 @@ class RunFolder:
     def row_counts(self) -> RowCounts:
         """Count the rows of planned cells; no row is read where a consolidation counted all."""
         coverage = read_coverage(self.path, row_files(self._cells))
+        # Reading all rows took 7 s and 1.2 GB for 10,000 cells.
         if coverage and coverage.counts and not self._has_rows_behind(coverage.start):
             return coverage.counts
         return RowCounts.of(self._places, self.first_fields().rows)
@@ -414,6 +417,7 @@ def frames_of_run(
         next_look = time.monotonic() + _LOOK_SECONDS
         is_busy = process is not None and process.poll() is None
         if not is_busy and (size := folder.row_bytes) > due:
+            # Growth by a factor keeps the work of all consolidations in proportion to the rows.
             due = int(_GROWTH * size) + FEW_BYTES
             process = subprocess.Popen(
                 [sys.executable, "-m", __name__, str(folder.path), str(os.getpid())],

@@ -299,7 +299,10 @@ def _specs_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
         signals = {"filter": filter, "derivatives": entry.derivatives}
         signals = {key: value for key, value in signals.items() if value not in (None, "default")}
         default = pipeline_choice.default_log_pipeline(signals)
-        train = [_first_part(log, share) for log in entry.train]
+        train = list[Any](entry.train)
+        if share != 1.0:  # ids of whole logs are those of what is written
+            tables = ({"use": log} if isinstance(log, str) else log for log in train)
+            train = [{**table, "share": share} for table in tables]
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
             robot=entry.robot,
@@ -318,13 +321,6 @@ def _specs_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:
             pipeline=default if pipeline is None else pipeline_choice.pipeline_spec(pipeline.spec),
             log={"train": train, "choose": list(choose), "moving": moving, **shared},
         )
-
-
-def _first_part(log: Any, share: float) -> Any:
-    """Return a log as written, or its first part."""
-    if share == 1.0:
-        return log
-    return {**({"use": log} if isinstance(log, str) else log), "share": share}
 
 
 def _log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:

@@ -33,6 +33,7 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
     try:
         estimate = _call(estimator, problem, experiment)
         estimate = _checked(estimate, problem)
+    # That a method refuses or fails is a result of a benchmark, not the end of it.
     except UnsupportedError as error:
         estimate = Estimate(status="unsupported", reason=str(error))
     except (EstimationError, SimulationError, UsageError, np.linalg.LinAlgError) as error:
@@ -80,29 +81,28 @@ def _checked(estimate: Any, problem: Problem) -> Estimate:
     if not isinstance(estimate, Estimate):
         raise EstimationError(f"The method returned {type(estimate).__name__}, not an Estimate.")
     if estimate.status == "ok":
-        return _checked_numbers(estimate, problem)
+        r = problem.base.rank
+        theta = _numbers("theta", estimate.theta, (len(problem.parameters),))
+        # theta decides where both are given: a beta of its own could contradict it.
+        beta = _numbers("beta", estimate.beta if theta is None else problem.base.K @ theta, (r,))
+        if beta is None:
+            raise EstimationError("The method returned neither beta nor theta.")
+        covariance = _numbers("covariance", estimate.covariance, (r, r))
+        if covariance is not None and (np.diag(covariance) < 0).any():
+            raise EstimationError("The method's covariance has a negative variance.")
+        sigma = _numbers("sigma", estimate.sigma, (len(problem.rows),))
+        if sigma is not None and (sigma <= 0).any():
+            raise EstimationError("The method's sigma has a value that is not positive.")
+        plain = _plain_convergence(estimate)
+        return replace(
+            estimate, theta=theta, beta=beta, covariance=covariance, sigma=sigma, **plain
+        )
     known = get_args(EstimateStatus)
     if estimate.status not in known:
         raise EstimationError(
             f"The method's status is {estimate.status!r}; expected one of {', '.join(known)}."
         )
     return replace(estimate, reason=str(estimate.reason)[:LONGEST_TEXT])
-
-
-def _checked_numbers(estimate: Estimate, problem: Problem) -> Estimate:
-    r = problem.base.rank
-    theta = _numbers("theta", estimate.theta, (len(problem.parameters),))
-    beta = _numbers("beta", estimate.beta if theta is None else problem.base.K @ theta, (r,))
-    if beta is None:
-        raise EstimationError("The method returned neither beta nor theta.")
-    covariance = _numbers("covariance", estimate.covariance, (r, r))
-    if covariance is not None and (np.diag(covariance) < 0).any():
-        raise EstimationError("The method's covariance has a negative variance.")
-    sigma = _numbers("sigma", estimate.sigma, (len(problem.rows),))
-    if sigma is not None and (sigma <= 0).any():
-        raise EstimationError("The method's sigma has a value that is not positive.")
-    plain = _plain_convergence(estimate)
-    return replace(estimate, theta=theta, beta=beta, covariance=covariance, sigma=sigma, **plain)
 
 
 def _plain_convergence(estimate: Estimate) -> dict[str, Any]:

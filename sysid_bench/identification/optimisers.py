@@ -75,6 +75,7 @@ class BudgetUse:
     def count(self) -> None:
         """Count a simulation that is about to run; raises BudgetError where there is none left."""
         seconds, most = self.budget.seconds, self.budget.simulations
+        # CPU time of this process: what others on the machine do spends nothing of the budget.
         late = seconds is not None and time.process_time() - self.began >= seconds
         if late or (most is not None and self.simulations >= most):
             raise BudgetError(f"the budget of {self.budget}")
@@ -128,6 +129,8 @@ class Search:
         try:
             found = self.cost.residuals(x)
         except (EstimationError, SimulationError):
+            # A wall of finite height: an optimiser of squares turns back at it, and would stop at
+            # infinity.
             return np.full_like(self.residuals, FAR * max(np.abs(self.residuals).max(), 1e-9))
         value = float(found @ found)
         if value < self.value:
@@ -187,6 +190,7 @@ def residual_jacobian(search: Search, x: Array, residuals: Array) -> Array:
     search.iterations += 1
     columns = []
     for i in range(len(x)):
+        # Backwards at the upper bound, beyond which there may be nothing to simulate.
         step = STEP if x[i] + STEP <= search.cost.high[i] else -STEP
         further = x.copy()
         further[i] += step

@@ -67,6 +67,7 @@ def _sizes(W: Array, f: Array, kept: Array, window: Array) -> Array:
     G = W / sigma[:, None]
     R = qr_factor([G[keep].reshape(-1, W.shape[-1])])
     leverage = (np.linalg.solve(R.T, G.reshape(-1, len(R)).T) ** 2).sum(axis=0)
+    # Without this variance, windows that excite what the fit hardly knows would never return.
     unknown = np.where(keep, 0.0, leverage.reshape(f.shape).mean(axis=1))
     return _by_window(squares.mean(axis=1), window) / (1.0 + _by_window(unknown, window))
 
@@ -131,6 +132,7 @@ def fit_calibration(reading: Array, known: Array, spread: float = SPREAD) -> Cal
             f"{len(known)} samples of known wrenches up to {np.abs(known).max(initial=0.0):.1e} "
             "cannot calibrate a sensor: record a motion with a load that weighs something."
         )
+    # Forces and moments by their own RMS: one spread then means the same for every entry of G.
     size = np.repeat([np.sqrt((known[:, part] ** 2).mean()) for part in (slice(3), slice(3, 6))], 3)
     scaled = np.hstack([known / size, np.ones((len(known), 1))])
     residual = (reading - known) / size  # of G - 1 in units of the spread, and of the constants

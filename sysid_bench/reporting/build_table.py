@@ -47,6 +47,7 @@ ROUNDING: Final = 1e-13
 
 def main_effects(values: np.ndarray) -> MainEffects:
     """The main effects of positive values (rows, columns)."""
+    # Settings multiply errors: in logarithms their effects add up.
     raw = np.log(values)
     log = raw - raw.mean()
     if np.abs(log).max() <= ROUNDING * max(1.0, float(np.abs(raw).max())):

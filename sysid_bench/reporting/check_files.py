@@ -56,4 +56,5 @@ def _message(text: str) -> str:
 
 
 def _property(text: str) -> str:
+    # Properties of a workflow command end at a comma, and the command at "::".
     return _message(text).replace(":", "%3A").replace(",", "%2C")

@@ -129,6 +129,7 @@ def _left_out_values(lines: pd.DataFrame, over: str) -> ClaimValues:
     not. Parameters that are on a bound, or have no value, in one of them are left out."""
     of = lines.assign(unit=_units(lines, over))
     table = of.pivot_table(index="unit", columns=PARAMETER, values="estimate", aggfunc="mean")
+    # A value on its bound is no estimate, and the range of equal values would be a point.
     bound = set(of.loc[of[VERDICT] == AT_BOUND, PARAMETER])
     free = table.drop(columns=[name for name in table if name in bound]).dropna(axis=1)
     if free.shape[1] == 0 or len(free) < 3:
@@ -137,28 +138,6 @@ def _left_out_values(lines: pd.DataFrame, over: str) -> ClaimValues:
     robots = np.repeat(free.index.to_numpy(str), free.shape[1])
     nothing = np.full(len(held), np.nan)
     return ClaimValues(robots, held, nothing, np.full(len(held), ""), 0)
-
-
-def _compared_values(
-    own: pd.DataFrame, against: pd.DataFrame, metric: str, over: str, named: Compared
-) -> ClaimValues:
-    """Values of two selections, by case: all labels but those that they compare. A value of several
-    lines of one case is their mean; a case without a reference is left out."""
-    case = _case_fields(own, against, named)
-    first = _by_case(own, metric, over, case)
-    others = _by_case(against, metric, over, [*case, "method"])
-    pairs = pd.merge(first, others, on=case, suffixes=("", "_against"))
-    pairs = pairs[pairs["value_against"].notna()]
-    if len(pairs) == 0:
-        raise MissingRowsError("no case has rows of both selections")
-    values = pairs["value"].to_numpy(float)
-    return ClaimValues(
-        robots=np.arange(len(pairs)) if over == "cell" else pairs["unit"].to_numpy(str),
-        own=values,
-        against=pairs["value_against"].to_numpy(float),
-        methods=pairs["method"].to_numpy(str),
-        lost=int(pairs[pairs["value"].isna()].groupby(case).ngroups),
-    )
 
 
 def _by_case(lines: pd.DataFrame, metric: str, over: str, keys: list[str]) -> pd.DataFrame:
@@ -288,6 +267,7 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
     if figure.low is None:
         counted = count_text(figure.count, claim["over"])
         reason = f"{counted}: no interval{figure.reason and f' ({figure.reason})'}"
+    # A claim on the cells that answered says nothing of those that did not.
     elif verdict == "holds" and values.lost > MOST_LOST * values.cells:
         reason = f"{values.lost} of {values.cells} cells have no answer"
     # Of a claim without a level its plants; recordings have none.
@@ -318,6 +298,7 @@ def _values(
     if claim["statistic"] == "share":
         records = ({str(key): one for key, one in row.items()} for row in of.to_dict("records"))
         met = [rows.choose(claim["meets"], row) for row in records]
+        # A failed cell counts as one that does not meet the condition, not as one that is missing.
         shares = of.assign(status="ok", met=np.asarray(met, dtype=float))
         return _selection_values(shares, "met", claim["over"])
     if claim["statistic"] == LEFT_OUT:
@@ -326,7 +307,24 @@ def _values(
         return _selection_values(of, claim["metric"], claim["over"])
     against = _selected_lines(lines, claim["against"], rows.choose, "the reference")
     named = (rows.fields(claim["select"]), rows.fields(claim["against"]))
-    return _compared_values(of, against, claim["metric"], claim["over"], named)
+    # A case is all labels but those that the claim compares. Lines of one case are averaged, and a
+    # case without a reference says nothing of the ratio: it is left out, not counted as lost.
+    metric, over = claim["metric"], claim["over"]
+    case = _case_fields(of, against, named)
+    first = _by_case(of, metric, over, case)
+    others = _by_case(against, metric, over, [*case, "method"])
+    pairs = pd.merge(first, others, on=case, suffixes=("", "_against"))
+    pairs = pairs[pairs["value_against"].notna()]
+    if len(pairs) == 0:
+        raise MissingRowsError("no case has rows of both selections")
+    values = pairs["value"].to_numpy(float)
+    return ClaimValues(
+        robots=np.arange(len(pairs)) if over == "cell" else pairs["unit"].to_numpy(str),
+        own=values,
+        against=pairs["value_against"].to_numpy(float),
+        methods=pairs["method"].to_numpy(str),
+        lost=int(pairs[pairs["value"].isna()].groupby(case).ngroups),
+    )
 
 
 def _logs(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> Array:
@@ -343,7 +341,23 @@ def _figure(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> C
     """The statistic of a claim over robots, and its interval."""
     statistic = claim["statistic"]
     if statistic == "rank":
-        return _rank(claim, values, rows)
+        # Among the methods of the reference, on the robots where all of them answer: else a method
+        # that fails on hard robots would be ranked on easy ones.
+        logs = _logs(claim, values, rows)
+        methods, robots = np.unique(values.methods), np.unique(values.robots)
+        table = np.full((len(robots), len(methods)), np.nan)
+        for column, method in enumerate(methods):
+            known = (values.methods == method) & ~np.isnan(logs)
+            named = np.unique(values.robots[known])
+            # ln(own / other) with its sign changed is the log error of the other; that of the own
+            # is zero.
+            table[np.isin(robots, named), column] = -_mean_by_robot(
+                values, np.where(known, logs, np.nan)
+            )
+        complete = table[~np.isnan(table).any(axis=1)]
+        if len(complete) == 0:
+            raise MissingRowsError("no robot has an answer of every method")
+        return rank_figure(np.column_stack([np.zeros(len(complete)), complete]))
     if statistic == "ratio":
         return ratio_figure(_mean_by_robot(values, _logs(claim, values, rows)))
     if statistic == "difference":
@@ -357,20 +371,3 @@ def _figure(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> C
         "share": share_figure,
     }
     return figure_of[statistic](_mean_by_robot(values, values.own))
-
-
-def _rank(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> ClaimFigure:
-    """Rank among the methods of the reference, over the robots on which all of them answer."""
-    logs = _logs(claim, values, rows)
-    methods, robots = np.unique(values.methods), np.unique(values.robots)
-    table = np.full((len(robots), len(methods)), np.nan)
-    for column, method in enumerate(methods):
-        known = (values.methods == method) & ~np.isnan(logs)
-        named = np.unique(values.robots[known])
-        table[np.isin(robots, named), column] = -_mean_by_robot(
-            values, np.where(known, logs, np.nan)
-        )
-    complete = table[~np.isnan(table).any(axis=1)]
-    if len(complete) == 0:
-        raise MissingRowsError("no robot has an answer of every method")
-    return rank_figure(np.column_stack([np.zeros(len(complete)), complete]))

@@ -88,6 +88,8 @@ def size_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[SizeErro
     found = []
     for name, every in cells.groupby("robot", sort=False):
         lengths = every.groupby("pipeline")["log.seconds"].nunique()
+        # One pipeline, that with the most lengths: a curve over several would show their
+        # differences.
         part = every[every["pipeline"] == lengths.idxmax()]
         drawn = {}
         for method in DRAWN:
@@ -102,6 +104,7 @@ def size_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[SizeErro
 def cells_of_motions(cells: "pd.DataFrame") -> "pd.DataFrame":
     """Return the cells with whole training motions: the longest of each robot."""
     longest = cells.groupby("robot")["log.seconds"].transform("max")
+    # Pipelines leave out different ends of a motion: nearly the longest is the whole.
     return cells[cells["log.seconds"] >= 0.9 * longest]
 
 

@@ -215,7 +215,15 @@ def _log(stream: rr.RecordingStream, scene: RecordingScene, picked: np.ndarray) 
         over = rr.TimeColumn(TIMELINE, duration=curve.t)
         for i, (name, values) in enumerate(curve.series.items()):
             _log_series(stream, ["curves", curve.name, name], name, _joint_colour(i), values, over)
-    _log_regressor(stream, cell)
+    # Singular values and the gap to Pinocchio span many decades: logarithms of both.
+    if len(cell.singular_values):
+        bars = rr.BarChart(_log10(cell.singular_values), color=_MEASURED)
+        stream.log("singular_values", bars, static=True)
+    if cell.gap_map.size:
+        image = rr.Tensor(_log10(cell.gap_map), dim_names=("row", "parameter"))
+        stream.log("gap", image, static=True)
+        picture = rr.EncodedImage(contents=difference_figure(cell), media_type="image/png")
+        stream.log("gap_map", picture, static=True)
     text = rr.TextDocument(summary(cell, scene.complaints), media_type="text/markdown")
     stream.log("summary", text, static=True)
     names = ("id", "robot", "payload", "task", "estimator", "status")
@@ -236,18 +244,6 @@ def _log_torques(
         residual = measured - predicted
         _log_series(stream, ["torque", row, "predicted"], "predicted", _PREDICTED, predicted, times)
         _log_series(stream, ["residual", row], row, _joint_colour(i), residual, times)
-
-
-def _log_regressor(stream: rr.RecordingStream, cell: CellData) -> None:
-    """Singular values and gap to Pinocchio on a logarithmic scale: both span many decades."""
-    if len(cell.singular_values):
-        bars = rr.BarChart(_log10(cell.singular_values), color=_MEASURED)
-        stream.log("singular_values", bars, static=True)
-    if cell.gap_map.size:
-        image = rr.Tensor(_log10(cell.gap_map), dim_names=("row", "parameter"))
-        stream.log("gap", image, static=True)
-        picture = rr.EncodedImage(contents=difference_figure(cell), media_type="image/png")
-        stream.log("gap_map", picture, static=True)
 
 
 def _log_series(

@@ -198,6 +198,7 @@ def joint_blocks(cells: "pd.DataFrame", joints: "pd.DataFrame") -> tuple[str, ..
 
     places = pd.Series(np.arange(len(cells)), index=cells["id"].astype(str))
     known = joints["id"].map(places)
+    # Stable: the joints of a cell keep their order.
     kept = joints.assign(place=known)[known.notna()].sort_values("place", kind="stable")
     place = kept["place"].to_numpy(int)
     chunks, size = list[str](), 0
@@ -215,10 +216,12 @@ def _joint_text(joints: "pd.DataFrame", counts: np.ndarray) -> str:
     """JSON of the joints of a few cells, `counts` of them for each."""
     names, ends = joints["name"].astype(str).tolist(), np.cumsum(counts)
     lists: dict[tuple[str, ...], int] = {(): -1}
+    # Cells of a robot share one list of joints, which is stored once.
     which = [
         lists.setdefault(tuple(names[end - count : end]), len(lists) - 1)
         for end, count in zip(ends.tolist(), counts.tolist(), strict=True)
     ]
+    # Numbers are written as text by column: json.dumps of a float has up to 17 digits.
     head = json.dumps({"names": list(lists)[1:], "which": which}, separators=(",", ":"))
     columns = (f'"{name}":[{_numbers(joints, name)}]' for name in JOINT_SCORES[2:])
     return f"{head[:-1]},{','.join(columns)}}}"
@@ -257,6 +260,7 @@ def read_data_text(text: str) -> Mapping[str, Any]:
 
 
 def _packed_text(text: str) -> str:
+    # mtime=0: the time of writing would make each page differ from the last.
     return base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode()
 
 

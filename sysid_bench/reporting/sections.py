@@ -33,6 +33,7 @@ def source_tables(cells: "pd.DataFrame") -> Iterator[Table]:
     if not _is_scored(cells) or not {"plant", "noise"} <= set(cells.columns):
         return
     is_recorded = cells["plant"].map(label) == RECORDED
+    # Noise-free cells have errors of rounding, which no recording can have.
     is_noisy = is_recorded | (cells["noise"].map(label) != EXACT)
     kept = cells[is_noisy & cells[SCORE].notna()]
     data = is_recorded[kept.index].map({True: RECORDED, False: "simulated"})

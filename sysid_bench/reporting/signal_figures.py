@@ -166,31 +166,29 @@ def difference_figure(cell: CellData) -> bytes:
     style = {**STYLE, **dict.fromkeys(colours, _INK), "figure.facecolor": _PAPER}
     with matplotlib.rc_context(rc={**matplotlib.rcParamsDefault, **style}):
         out = io.BytesIO()
-        _draw_difference(cell).savefig(out, format="png", dpi=_DPI, metadata=METADATA["png"])
+        drawing = new_figure(*_SIZE)
+        axes = drawing.add_subplot()
+        sizes = np.abs(np.asarray(cell.gap_map, dtype=float))
+        with np.errstate(divide="ignore"):
+            # Entries without a difference are masked: the lowest colour would say that there is
+            # one.
+            values = np.ma.masked_invalid(np.log10(sizes))
+        high = float(values.max()) if values.count() else 0.0
+        least = float(values.min()) if values.count() else 0.0
+        low = high - float(np.clip(high - least, *_DECADES))
+        axes.set_facecolor("#1c2229")
+        shades = axes.pcolormesh(values, cmap="viridis", vmin=low, vmax=high)
+        axes.invert_yaxis()
+        names = [name or f"row{i}" for i, name in enumerate(cell.rows)][: cell.gap_map.shape[0]]
+        step = -(-len(names) // _MOST_ROWS)
+        places = np.arange(len(names))[::step]
+        axes.set_yticks(places + 0.5, [plain(names[i]) for i in places], fontsize=5)
+        _name_bodies(axes, cell)
+        axes.tick_params(length=0)
+        extend = "min" if least < low else "neither"
+        drawing.colorbar(shades, ax=axes, label="log10 |Y - Y_pin|", pad=0.01, extend=extend)
+        drawing.savefig(out, format="png", dpi=_DPI, metadata=METADATA["png"])
     return out.getvalue()
-
-
-def _draw_difference(cell: CellData) -> "Figure":
-    drawing = new_figure(*_SIZE)
-    axes = drawing.add_subplot()
-    sizes = np.abs(np.asarray(cell.gap_map, dtype=float))
-    with np.errstate(divide="ignore"):
-        values = np.ma.masked_invalid(np.log10(sizes))
-    high = float(values.max()) if values.count() else 0.0
-    least = float(values.min()) if values.count() else 0.0
-    low = high - float(np.clip(high - least, *_DECADES))
-    axes.set_facecolor("#1c2229")
-    shades = axes.pcolormesh(values, cmap="viridis", vmin=low, vmax=high)
-    axes.invert_yaxis()
-    names = [name or f"row{i}" for i, name in enumerate(cell.rows)][: cell.gap_map.shape[0]]
-    step = -(-len(names) // _MOST_ROWS)
-    places = np.arange(len(names))[::step]
-    axes.set_yticks(places + 0.5, [plain(names[i]) for i in places], fontsize=5)
-    _name_bodies(axes, cell)
-    axes.tick_params(length=0)
-    extend = "min" if least < low else "neither"
-    drawing.colorbar(shades, ax=axes, label="log10 |Y - Y_pin|", pad=0.01, extend=extend)
-    return drawing
 
 
 def _name_bodies(axes: "Axes", cell: CellData) -> None:

@@ -31,7 +31,19 @@ def interval_of(interval: str, stat: str, values: np.ndarray, repeats: np.ndarra
     if interval == "none" or stat == "count" or len(values) < 2:
         return None, None
     if interval == "ci95":
-        return _bootstrap(stat, values, repeats)
+        # Whole repeats are drawn: the cells of one repeat share their noise, and drawn singly
+        # would count as independent.
+        names, which = np.unique(repeats.astype(str), return_inverse=True)
+        if len(names) < TABLE_REPEATS.fewest:
+            return None, None
+        # One row per repeat: a draw of rows is a draw of repeats, all of them at once.
+        blocks = np.full((len(names), np.bincount(which).max()), np.nan)
+        for i in range(len(names)):
+            block = values[which == i]
+            blocks[i, : len(block)] = block
+        drawn = blocks[TABLE_REPEATS.indices(len(names))].reshape(TABLE_REPEATS.draws, -1)
+        low, high = percentile_interval(_along_last(stat, drawn))
+        return float(low), float(high)
     # The others describe the values, not the accuracy of their statistic.
     if interval == "iqr":
         low, high = np.percentile(values, [25, 75])
@@ -40,21 +52,6 @@ def interval_of(interval: str, stat: str, values: np.ndarray, repeats: np.ndarra
     else:
         centre, spread = statistic_of(stat, values), values.std(ddof=1)
         low, high = centre - spread, centre + spread
-    return float(low), float(high)
-
-
-def _bootstrap(stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
-    """Percentile interval; whole repeats are drawn, since cells of one repeat share their noise."""
-    names, which = np.unique(repeats.astype(str), return_inverse=True)
-    if len(names) < TABLE_REPEATS.fewest:
-        return None, None
-    # One row per repeat: a draw of rows is a draw of repeats, all of them at once.
-    blocks = np.full((len(names), np.bincount(which).max()), np.nan)
-    for i in range(len(names)):
-        block = values[which == i]
-        blocks[i, : len(block)] = block
-    drawn = blocks[TABLE_REPEATS.indices(len(names))].reshape(TABLE_REPEATS.draws, -1)
-    low, high = percentile_interval(_along_last(stat, drawn))
     return float(low), float(high)
 
 

@@ -61,6 +61,7 @@ class Group:
     @cached_property
     def factors(self) -> tuple[Array, Array]:
         """Q (m n, 3 + m) and R (3 + m, 3 + m) of A = Q R, which serve all delays."""
+        # A delay changes b alone: one factorisation serves the whole profile.
         Q, R = np.linalg.qr(self.A)
         return Q, R
 
@@ -73,6 +74,7 @@ class Group:
         value, std = self.armature
         known = np.isfinite(value)
         own = scale[list(self.joints)][known]
+        # A prior row has the deviation of a row of data, so that both weigh as they are certain.
         P = np.zeros((len(own), columns))
         P[:, 0] = own / std[known]
         return P, P[:, 0] * value[known], own
@@ -167,6 +169,7 @@ def bounded_fit(
             factors[j] = x[own]
             values[j], covariances[j] = _physical(x[own], covariance[np.ix_(own, own)], group.more)
             residuals[:, j] = r[i * group.samples : (i + 1) * group.samples]
+    # The offset has either sign: zero is no bound of it.
     at_bound = (values[:, : SIGNED + 1] == 0.0) & (np.arange(SIGNED + 1) != SIGNED)
     std = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     (own_values, more), (own_std, more_std) = (
@@ -188,6 +191,7 @@ def bounded_fit(
 def _physical(x: Array, covariance: Array, more: Sequence[str]) -> tuple[Array, Array]:
     """Return values and their covariance for factors x (4 + e,): both sides were divided by the
     gain, so that its own factor is 1 / gain - 1."""
+    # Delta method: `slopes` are the derivatives of the values by the factors.
     slopes, values = np.eye(len(x)), x.copy()
     # Commands without any torque leave the gain open: it is infinite, and all values with it.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -234,7 +238,10 @@ def _covariance(group: Group, r: Array, free: Array, rate: float, scale: Array |
     sums = np.add.reduceat(scores, starts, axis=0)
     P, _, own = group.prior(scale)
     P = P[:, free]
+    # Sandwich: the scatter of the scores between two inverses of the information, which holds
+    # whatever correlation the residuals have within a block.
     inverse = np.linalg.pinv(A.T @ A + P.T @ P, hermitian=True)
+    # A fit of c unknowns leaves the scatter of few blocks too small.
     few = len(starts) / max(1, len(starts) - len(free))
     of_prior = P * own[:, None]
     covariance = inverse @ (few * (sums.T @ sums) + of_prior.T @ of_prior) @ inverse

@@ -43,10 +43,14 @@ class CommandCurves:
         t = np.arange(part)[:, None] / rate
         length = part / rate
         first, last, phase, steps, lag, share = self.shapes.T
+        # The phase is the integral of the frequency: half of its slope.
         chirp = np.sin(2.0 * np.pi * (first + 0.5 * (last - first) * t / length) * t + phase)
         square = np.sign(np.sin(2.0 * np.pi * steps * t + lag))
         ramp = np.clip(np.minimum(t, length - t) / RAMP, 0.0, 1.0)
+        # Chirps excite armature and damping, steps the delay, whose effect grows with q_des'.
         one = self.centre + self.reach * ramp * ((1.0 - share) * chirp + share * square)
+        # The same positions under each set of gains: what differs between the parts is due to gains
+        # alone. kp moves the trade of the delay against damping, kd that against armature.
         return np.tile(one, (len(self.gains), 1))[:count]
 
     def commands(self, whole: Commands) -> Commands:
@@ -130,18 +134,22 @@ class DriveInformation:
 def drive_information(rows: DriveRows, delay: float, kp: Array) -> DriveInformation:
     """Return the information of rows at a delay (s), for residuals of RESIDUAL of each joint and
     of FLOOR times its gain kp (k,)."""
+    # The delay is a further column, its derivative: information is that of the linearised fit.
     effect = delay_effect(rows, delay)
     total = rows.torque(delay) + rows.links
     sigma = np.hypot(RESIDUAL * np.sqrt(np.mean(total**2, axis=0)), FLOOR * kp)
+    # Residuals are correlated: one row per correlation time counts.
     weight = min(1.0, 1.0 / (CORRELATION * rows.rate))
     whole = np.concatenate([rows.features, effect[:, :, None]], axis=2) / sigma[:, None]
     blocks = weight * np.einsum("nkc,nkd->kcd", whole, whole)
+    # Information on the delay that the values of the joint do not take up (Schur complement).
     scaled = [1.0 / max(_inverse(block)[-1, -1], SMALLEST) for block in blocks]
     return DriveInformation(blocks, np.array(scaled) / (weight * len(effect)))
 
 
 def _inverse(matrix: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diag(matrix), SMALLEST))
+    # kg m^2, N m s/rad and s differ by decades: on a unit diagonal the small ridge is none.
     unit = matrix / np.outer(scale, scale) + SMALLEST * np.eye(len(matrix))
     return np.asarray(np.linalg.inv(unit) / np.outer(scale, scale))
 
@@ -232,6 +240,7 @@ def default_drives(robot: RobotModel, whole: Commands) -> Drives:
     M = np.zeros((mj.nv, mj.nv))
     mujoco.mj_forward(mj, data)
     mujoco.mj_fullM(mj, data, M)
+    # mj_fullM contains the armature of the file.
     links = (np.diag(M) - mj.dof_armature)[v]
     armature = _or(terms.armature[v], ARMATURE * links)
     if whole.armature is not None:
@@ -273,13 +282,27 @@ def design_commands(
     ]
     best = draws[0]
     for other in draws[1:]:
+        # Joints move each other's links: joined waves are simulated anew, and need not be better.
         best = _better(best, seen(_candidate(brief, _joined(best, other))), other)
     for gains in GAINS[1:]:
         best = _better(best, seen(_candidate(brief, replace(best.curves, gains=gains))))
     for _ in range(iterations):
         other = seen(_candidate(brief, random_near(best.curves, rng, SPREAD)))
         best = _better(best, other, seen(_candidate(brief, _joined(best, other))))
-    return _within_limits(brief, best)
+    # The search knows one set of actuators; real ones may move farther under the same commands.
+    # The worst of three plants therefore sets the amplitudes, which all of them share.
+    values = brief.drives.values
+    plants = [brief.drives] + [
+        replace(brief.drives, values=values * [factor, factor, factor, 1.0]) for factor in OTHERS
+    ]
+    curves = best.curves
+    for _ in range(ROUNDS):
+        moved = [_moved(brief, curves, drives) for drives in plants]
+        uses = np.max([uses for _, uses in moved], axis=0)
+        if uses.max() <= 1.0:
+            break
+        curves = _scaled(curves, uses)
+    return _informed(brief, curves, moved[0][0], uses)
 
 
 def _better(*candidates: CommandCandidate) -> CommandCandidate:
@@ -349,19 +372,3 @@ def _moved(brief: CommandProblem, curves: CommandCurves, drives: Drives) -> tupl
 def _range_use(brief: CommandProblem, q: Array) -> Array:
     half = 0.5 * (brief.high - brief.low)
     return np.asarray(np.abs(q - brief.default_position).max(axis=0) / half)
-
-
-def _within_limits(brief: CommandProblem, candidate: CommandCandidate) -> CommandCandidate:
-    """Return the candidate with amplitudes at which the limits are kept."""
-    values = brief.drives.values
-    plants = [brief.drives] + [
-        replace(brief.drives, values=values * [factor, factor, factor, 1.0]) for factor in OTHERS
-    ]
-    curves = candidate.curves
-    for _ in range(ROUNDS):
-        moved = [_moved(brief, curves, drives) for drives in plants]
-        uses = np.max([uses for _, uses in moved], axis=0)
-        if uses.max() <= 1.0:
-            break
-        curves = _scaled(curves, uses)
-    return _informed(brief, curves, moved[0][0], uses)

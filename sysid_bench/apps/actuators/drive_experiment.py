@@ -88,6 +88,8 @@ def drive_problem(rows: DriveRows, delay: float, kinds: tuple[str, ...]) -> Prob
     names = tuple(f"{joint}.{term}" for joint in rows.joints for term in UNKNOWNS)
     factors = []
     for j, joint in enumerate(rows.joints):
+        # Rows of a joint hold the values of that joint alone: the problem falls apart into small
+        # factors.
         R = qr_factor([np.column_stack([rows.features[:, j], tau[:, j]])])
         columns = np.arange(count * j, count * j + rows.features.shape[2])
         factors.append(Factor(joint, columns, R, len(tau)))
@@ -202,6 +204,8 @@ class DriveSource:
         for sign in (-1.0, 1.0) if bias.any() else (1.0,):
             for delay in DELAYS:
                 drives = Drives(joints, values, float(delay), {"bias": sign * bias})
+                # A publication without a delay gets the best one: its values are judged, not what
+                # it leaves out.
                 with suppress(SimulationError):
                     errors.append(_error(tests, drives))
         return min(errors, default=None)
@@ -255,6 +259,7 @@ def prepare_drives(
         return drive_rows(part.robot, part.log, joints, part.rows)
 
     pooled = pooled_rows([rows_of(part) for part in fits])
+    # The delay is found once, and given to all methods: they differ by their fit alone.
     found = identify_drives(pooled, delay=known_delay(fits))
     robot = fits[0].robot
     kinds = tuple(robot.torque_units[robot.torque_rows.index(joint)] for joint in joints)

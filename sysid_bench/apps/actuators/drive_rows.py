@@ -52,17 +52,20 @@ def base_motion(
 
     signals = {name: low_pass.smooth(x, rate) for name, x in base.signals.items()}
     rotation = signals["orientation"]
+    # A filtered unit quaternion is shorter than one.
     rotation = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
     at_rest = np.zeros((len(rotation), 3))
     position = signals.get("position", at_rest)
     velocity = signals["velocity"] if "velocity" in signals else slope(position)
     turning = signals.get("angular_velocity")
     if turning is None:
+        # In the body's own axes the angular velocity is 2 q^-1 dq/dt.
         turning = 2.0 * composed_rotation(inverse_quaternion(rotation), slope(rotation))[:, 1:]
     acceleration = signals["acceleration"] if "acceleration" in signals else slope(velocity)
     if base.accelerometer is not None:
         R = matrix_of_quaternion(base.orientation)
         felt = np.einsum("nij,nj->ni", R, base.accelerometer)
+        # An accelerometer feels a - g, in the axes of the body.
         acceleration = low_pass.smooth(felt, rate) + gravity
     return BaseMotion(
         q=np.hstack([position, rotation]),
@@ -145,6 +148,8 @@ def drive_rows(
     """
     whole = log.recording
     recording = Recording(whole.t[rows], whole.q[rows], whole.tau[rows], whole.rate, whole.rows)
+    # One zero-phase filter on both sides of the equation leaves it true, whatever it does to each
+    # of them.
     low_pass = drive_filter(recording.rate)
     processing = Processing(low_pass, differentiate=True, accuracy=ACCURACY)
     filtered = processing.apply(recording, robot.joints)
@@ -160,6 +165,8 @@ def drive_rows(
     friction = low_pass.smooth(np.tanh(rates / SMOOTHING), whole.rate)[used]
     columns = [motion.a[:, v], motion.v[:, v], friction, np.ones_like(friction)]
     further = {"load": np.abs(rigid) * friction, "gain": rigid}
+    # kp times a bias looks like an offset: only gravity that changes with the posture separates
+    # them.
     if "bias" in more:
         further["bias"] = _tilted(robot, motion, joints, q)
     features = np.stack([*columns, *(further[name] for name in more)], axis=2)
@@ -229,6 +236,7 @@ def _tilted(
     """Return the derivative (N, k) of each joint's known torque by its own position."""
     columns = []
     for j, name in enumerate(joints):
+        # Central difference: TILT is small against the postures, and its error is of second order.
         ends = (
             _known_torque(robot, _moved(robot, motion, [q[j]], np.array([by])), [name])
             for by in (TILT, -TILT)

@@ -113,6 +113,7 @@ def drive_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoco
     for j, name in enumerate(drives.joints):
         joint = spec.joint(name)
         joint.armature, viscous, joint.frictionloss, offset = drives.values[j]
+        # MuJoCo 4 has polynomial damping: terms of higher order are not fitted.
         joint.damping = [viscous, *np.zeros(np.size(joint.damping) - 1)]
         _add_motor(spec, name, (commands.kp[0, j], commands.kd[0, j], commands.limit[j]), offset)
     mj = contact_free(spec.compile())
@@ -163,6 +164,8 @@ def positions_of(
 
     Raises SimulationError where the robot diverges.
     """
+    # One start for the whole section: errors of position add up, as they do where the model is
+    # used.
     first, last, _ = rows.indices(len(commands))
     at_q, at_v = places
     # The first index of a transmission is that of a tendon, site or body in other kinds.
@@ -209,6 +212,7 @@ def _base_placer(
     q, v = int(mj.jnt_qposadr[joint]), int(mj.jnt_dofadr[joint])
     of_q, of_v = slice(q, q + 7), slice(v, v + 6)
     mj.dof_armature[of_v], mj.dof_damping[of_v], mj.dof_frictionloss[of_v] = HEAVY, 0.0, 0.0
+    # The acceleration that holds until the next sample is the mean of both ends.
     held = 0.5 * (moved.a + np.concatenate([moved.a[1:], moved.a[-1:]]))
 
     def place(sample: int) -> None:
@@ -244,6 +248,7 @@ def _fill_buffers(
 
 def _take_steps(mj: mujoco.MjModel, data: mujoco.MjData, controls: Array) -> None:
     """Take one step for each row of the controls, together where they are equal."""
+    # One call for held commands: the loop over steps then runs in MuJoCo.
     if (controls == controls[0]).all():
         data.ctrl[:] = controls[0]
         mujoco.mj_step(mj, data, len(controls))
@@ -321,6 +326,7 @@ class SimulatedPart:
         found = run_search(
             optimiser, SimulatedCost(residuals, first, low, high), BudgetUse(parse_budget(budget))
         )
+        # Within a thousandth of the range an optimiser has stopped at the bound: no estimate.
         near = 1e-3 * (high - low)
         at_bound = (found.x <= low + near) | (found.x >= high - near)
         return SimulatedDrives(drives(found.x), at_bound.reshape(k, 4), found)

@@ -87,6 +87,7 @@ def replay_positions(file: Path, commands: Commands, rows: slice) -> Array:
         raise ModelError(f"MuJoCo does not read {file.name} again: {error}.") from error
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     mj.opt.timestep = simulation_step(commands.rate)
+    # By name: joint orders differ between simulators.
     joints = [mj.joint(name) for name in commands.joints]
     places = [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]
     return positions_of(mj, places, 0.0, commands, rows)
@@ -119,6 +120,7 @@ def settings_text(
 ) -> dict[str, str]:
     """Return texts for "mjlab" and "isaaclab"; the range of the delay (s) is rounded outward to
     physics steps (s)."""
+    # Outward: randomisation should cover the whole interval. 1e-9: a delay of whole steps stays.
     lags = int(np.floor(delay[0] / step + 1e-9)), int(np.ceil(delay[1] / step - 1e-9))
     return {"mjlab": _mjlab(joints, lags, step), "isaaclab": _isaaclab(joints, lags, step)}
 

@@ -127,6 +127,7 @@ class ExecutorRun:
     _notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        # Dask keeps results in the memory of its workers: finished ones can die with them.
         self._owed.update({cell["id"]: cell for _, cell in _cells(self.work.jobs)})
         self._waiting = BatchQueue(self.work.jobs, self.work.seconds)
         self._inbox: queue.SimpleQueue[tuple[_Sent, BatchAnswer | BaseException] | None]

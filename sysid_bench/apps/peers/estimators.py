@@ -60,7 +60,18 @@ class SimulatedFit(ABC):
         budget = parse_budget(self.budget)
         meter = BudgetUse(budget)
         _, start = simulatable_start(experiment)
-        candidates = _candidates(experiment, start, self.signal)
+        problem = experiment.problem
+        feasible = feasible_set_of(problem)
+        chart = coordinates(feasible, start / feasible.scale)
+        slopes = (problem.base.K * feasible.scale) @ chart.jacobian(chart.eta0)
+        r = problem.base.rank
+        if r == 0:
+            raise UsageError("No parameter of this problem is identifiable: nothing to fit.")
+        # The row space of d beta / d eta: moves along all other coordinates change no torque, and
+        # would cost simulations in vain. Unit rows leave it, and make its basis accurate.
+        size = np.linalg.norm(slopes, axis=1, keepdims=True)
+        _, _, Vt = np.linalg.svd(slopes / np.where(size > 0, size, 1.0), full_matrices=False)
+        candidates = Candidates(experiment, chart, Vt[:r].T, self.signal)
         found = run_search(self.optimiser, candidates.cost, meter)
         return Estimate(
             theta=candidates.parameters(found.x),
@@ -104,11 +115,14 @@ class Candidates:
     def _size(self) -> Array:
         measured = self._measured
         if self.signal == "position":
+            # About the mean: a joint far from zero would count for nothing.
             measured = measured - measured.mean(axis=0)
         size = np.sqrt((measured**2).mean(axis=0))
         return np.asarray(np.where(size > 0, size, 1.0) * np.sqrt(measured.size))
 
     def _residuals(self, x: Array) -> Array:
+        # Exponentials of a far candidate may overflow; it then cannot be simulated, which has a
+        # cost.
         with np.errstate(over="ignore", invalid="ignore"):
             theta = self.parameters(x)
         simulated = self._of(self.experiment.simulate(theta))
@@ -119,22 +133,6 @@ class Candidates:
         if self.signal == "position":
             return recording.q
         return rows_of(self.experiment, recording.tau)
-
-
-def _candidates(experiment: Experiment, start: Array, signal: str) -> Candidates:
-    """Candidates around a start (p,); raises UsageError where no parameter is identifiable."""
-    problem = experiment.problem
-    feasible = feasible_set_of(problem)
-    chart = coordinates(feasible, start / feasible.scale)
-    slopes = (problem.base.K * feasible.scale) @ chart.jacobian(chart.eta0)
-    r = problem.base.rank
-    if r == 0:
-        raise UsageError("No parameter of this problem is identifiable: nothing to fit.")
-    # Rows in units of the start's base parameters: their row space does not depend on it, the
-    # accuracy of its basis does.
-    size = np.linalg.norm(slopes, axis=1, keepdims=True)
-    directions = np.linalg.svd(slopes / np.where(size > 0, size, 1.0), full_matrices=False)[2][:r].T
-    return Candidates(experiment, chart, directions, signal)
 
 
 @dataclass(frozen=True)

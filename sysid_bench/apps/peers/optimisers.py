@@ -26,6 +26,7 @@ class CmaEs:
         strategy = load_optimiser("cma").CMAEvolutionStrategy(cost.start, self.sigma, options)
         while not strategy.stop():
             points = strategy.ask()
+            # One candidate after the other: each counts in the budget before it runs.
             values = [float(np.sum(search.evaluate(np.asarray(x)) ** 2)) for x in points]
             strategy.tell(points, values)
             search.iterations += 1
@@ -71,6 +72,7 @@ class MujocoSysid:
 
 def _columns(search: Search, x: Array) -> Array:
     """Return the residuals (M,) of x (d,), or (M, k) of the columns of x (d, k)."""
+    # The toolbox asks for a point, or for all nudged points of a Jacobian at once.
     if x.ndim == 1:
         return search.evaluate(x)
     search.iterations += x.shape[1] > 1

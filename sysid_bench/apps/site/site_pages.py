@@ -75,6 +75,7 @@ def score_tables(
     metric = version.score
     if metric.level != METRICS["torque_error"].level or metric.text:
         return
+    # Apart: a median over both would be of rounding or of noise, by the number of their cells.
     halves = {
         "Data with noise": version.with_noise(),
         "Exact data: errors are rounding": version.exact(),
@@ -193,6 +194,7 @@ def site_pages(runs: Sequence[SiteRun]) -> dict[str, str]:
     }
     pages = {
         "index.html": _render("index", "", index),
+        # allow_nan=False: a NaN is an error here, and not in the programs that read the file.
         LEADERBOARD: json.dumps(leaderboard(versions), indent=1, allow_nan=False) + "\n",
         SCHEMA_FILE.name: SCHEMA_FILE.read_text(encoding="utf-8"),
     }

@@ -93,6 +93,7 @@ class SiteRun:
         limits = kept.get("run") or {}
         if kept.get("confidence") == LEVEL:  # versions are older than the key
             del kept["confidence"]
+        # Limits of machines change no value; repeats do, and stay.
         kept["run"] = {key: value for key, value in limits.items() if key not in _OF_MACHINES}
         return canonical_hash(kept)[:8]
 
@@ -225,6 +226,7 @@ def _with_labels(runs: Iterable[SiteRun]) -> Iterator[SiteRun]:
             if known.get(name, method) != method
         }
         known |= {other.get(name, name): method for name, method in run.methods.items()}
+        # `other` as a default: a lambda in a loop would see the last one.
         names = run.cells["estimator"].map(lambda name, other=other: other.get(name, name))
         yield replace(run, cells=run.cells.assign(estimator=names)) if other else run
 

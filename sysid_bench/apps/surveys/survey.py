@@ -55,6 +55,7 @@ def cause_of(row: Mapping[str, Any]) -> str:
     if row["status"] in _STATUS:
         return _STATUS[row["status"]]
     if row.get("nv") is not None:
+        # Figures without "ok": both engines read the model, and differ.
         return DISAGREE if "on the tree" not in row["reason"] else "closed chain not reproduced"
     # The first that fits: what an engine says of its own comes last.
     found = (cause for cause, pattern in _SENTENCES if re.search(pattern, row["reason"]))

@@ -85,8 +85,11 @@ def residual_share(real: Sequence[Residual], repeated: Sequence[Residual]) -> Ar
     for one, again in zip(real, repeated, strict=True):
         t = one.t - one.t[0]
         inside = (t >= again.t[0]) & (t <= again.t[-1])
+        # A replay has a rate of its own, which divides that of the controllers: it is read at the
+        # times of the recording.
         columns = [np.interp(t[inside], again.t, column) for column in again.e.T]
         e = one.e[inside]
+        # Mean squares add up test by test: a long test does not outweigh the others.
         left = left + np.mean((e - np.column_stack(columns)) ** 2, axis=0)
         power = power + np.mean(e**2, axis=0)
     return np.asarray(1.0 - left / power)
@@ -107,12 +110,14 @@ def geometric_mean(values: Sequence[float]) -> float:
 def residual_correlation_time(x: Array, rate: float) -> float:
     """Return the lag (s) at which the autocorrelation of x (N,), sampled at `rate` (Hz), falls to
     1/e, between samples linearly; half a sample at least."""
+    # Half of the record at most: behind longer lags few products are left to average.
     count = max(2, len(x) // 2)
     found = time_covariance(x - x.mean(), count)
     if found[0] <= 0.0:
         return 0.5 / rate
     below = np.flatnonzero(found < found[0] / np.e)
     if len(below) == 0:
+        # It never falls that far: the record says no more than that the memory is longer.
         return count / rate
     k = int(below[0])
     part = (found[k - 1] - found[0] / np.e) / (found[k - 1] - found[k])
@@ -129,8 +134,10 @@ def _spectrum(residuals: Sequence[Residual], joint: int) -> Array:
         for k, (low, high) in enumerate(pairwise(edges)):
             inside = (f >= low) & (f < high)
             if inside.any():
+                # An exact replay has no power at all, of which there would be no logarithm.
                 row[k] = density[inside].mean() + 1e-30
     resolved = ~np.isnan(bands)
+    # Powers are averaged, and not decibels, whose mean is one of ratios.
     total = np.where(resolved, bands, 0.0).sum(axis=0)
     count = resolved.sum(axis=0)
     return np.asarray(10 * np.log10(np.where(count > 0, total / np.maximum(count, 1), np.nan)))
@@ -184,7 +191,9 @@ def verdict_counts(
 
     Logarithms of errors are averaged over the tests; methods that failed in one are left out.
     """
+    # A method that failed somewhere would be compared on the easier tests.
     methods = sorted(set.intersection(*map(set, (*simulated, *real))))
+    # Logarithms: a method twice as bad on one test and half as bad on another is even.
     own, other = (
         {m: float(np.mean([np.log(one[m]) for one in tests])) for m in methods}
         for tests in (simulated, real)
@@ -197,6 +206,7 @@ def verdict_counts(
     # over the tests of reality.
     s, r, spread = np.array(pairs, dtype=float).reshape(-1, 3).T
     claimed = np.abs(s) > CLAIMED
+    # A real difference exceeds what the same pair differs by from one test to the next.
     found = np.abs(r) > np.maximum(CLAIMED, spread)
     # Logarithmic ratios to the reference: simulation against reality.
     misfits = [
@@ -210,6 +220,8 @@ def verdict_counts(
         tau = float(kendalltau(*orders).statistic)
     return VerdictCounts(
         claimed=int(claimed.sum()),
+        # A claim is false where reality has the other sign, and where it shows no difference at
+        # all.
         false=int((claimed & ((s * r < 0) | (np.abs(r) < EQUAL))).sum()),
         real=int(found.sum()),
         found=int((found & (s * r > 0) & (np.abs(s) > EQUAL)).sum()),
@@ -224,6 +236,7 @@ def mean_counts(counts: Sequence[VerdictCounts]) -> VerdictCounts:
     values: dict[str, Any] = {}
     for name in VerdictCounts.__dataclass_fields__:
         each = [getattr(one, name) for one in counts]
+        # Pairs add up, so that a share over draws weighs each draw by what it claims.
         if name in ("claimed", "false", "real", "found"):
             values[name] = sum(each)
         else:
@@ -247,7 +260,10 @@ def robot_share(
     # Robots without any such pair say nothing of the scatter between robots.
     if value is None or np.count_nonzero(table[:, 1]) < ROBOT_TYPES.fewest:
         return Interval(value, None, None, int(many))
+    # The ratio of sums: robots count by their pairs, and are drawn as wholes, since pairs of one
+    # robot share its errors.
     drawn = table[ROBOT_TYPES.indices(len(table))].sum(axis=1)
+    # A draw of robots without any such pair has no share.
     drawn = drawn[drawn[:, 1] > 0]
     low, high = percentile_interval(drawn[:, 0] / drawn[:, 1])
     return Interval(value, float(low), float(high), int(many))

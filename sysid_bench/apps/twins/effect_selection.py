@@ -55,6 +55,8 @@ def joint_signals(robot: RobotModel, recording: Recording, filter: Filter) -> Jo
     """Return the signals of a processed recording along which a robot with these inertias moved."""
     dofs, motion, full = robot.torque_dofs, recording.motion, plant_of(robot)
     none = {name: getattr(robot.joint_terms, name).copy() for name in BASE}
+    # BASE is fitted again beside the effects, so that `rest` must not contain it; joints without a
+    # measured torque keep theirs.
     for values in none.values():
         values[dofs] = 0.0
     plant = Plant(robot, replace(full.terms, **none), full.laws)
@@ -143,6 +145,7 @@ class JointEffects:
             if group in self.groups:
                 continue
             added = replace(self, groups=(*self.groups, group))
+            # Shapes are nonlinear: they are tried on a grid, so that every fit stays linear.
             if group == PRESLIDING:
                 yield from (replace(added, width=width) for width in WIDTHS)
             elif group == DELAY:
@@ -166,6 +169,8 @@ class JointColumns:
         """Return the columns (N, k) of these effects at the samples of the fit."""
         columns = []
         for name in effects.columns:
+            # Only columns with a shape have it in their key: the others are filtered once for all
+            # candidates.
             shape = effects.vs if name == "stribeck" else effects.width
             key = (name, shape if name in ("coulomb", "load", "stribeck") else 0.0)
 
@@ -179,7 +184,9 @@ class JointColumns:
         """Return the torque (N,) that the columns have to explain, where it is late by `delay`."""
 
         def target(one: JointSignals) -> Array:
+            # A torque that is late is read ahead of time.
             tau = np.interp(one.t + delay, one.t, one.tau[:, self.joint])
+            # What is computed passes the filter that the measured torque has passed.
             return np.asarray(tau - one.smooth(one.rest[:, [self.joint]])[:, 0])
 
         return self._kept(("target", delay), target)
@@ -187,6 +194,8 @@ class JointColumns:
     @property
     def blocks(self) -> Array:
         """The block of time (N,) of each sample, those of every recording in turn."""
+        # Blocks of time and not single samples: neighbours share their noise, and one left out
+        # would be known from the next.
         counts = [len(range(0, len(one.t), self.step)) for one in self.logs]
         return np.concatenate([np.arange(n) * FOLDS // n for n in counts])
 
@@ -210,25 +219,24 @@ def effect_values(one: JointSignals, joint: int, name: str, effects: JointEffect
     if word in ("sin", "cos"):
         return np.asarray(getattr(np, word)(float(order) * q))
     if name in ("coulomb", "load"):
-        s = _friction_direction(q, v, effects.width)
+        # The play operator of the plant's own effect, over its width: unlike tanh(v / v0) it
+        # depends on the way since the last reversal, not on the rate, as presliding does.
+        if effects.width <= STEP_WIDTH:
+            s = np.asarray(np.sign(v))
+        else:
+            place, w = np.empty_like(q), np.array(effects.width)
+            p = np.asarray(q[0] - effects.width * np.sign(v[0]))
+            for k, position in enumerate(q):
+                p = play_position(p, position, w)
+                place[k] = p
+            s = np.asarray((q - place) / effects.width)
         return np.asarray(s if name == "coulomb" else np.abs(one.load[:, joint]) * s)
     if name == "stribeck":
+        # A smooth sign of its own: the peak lies at rates where sign(v) is that of noise.
         peak = np.exp(-((v / effects.vs) ** 2))
         return np.asarray(peak * np.tanh(SHARPNESS * v / effects.vs))
     simple = {"viscous": v, "curved": np.abs(v) * v, "time": one.t}
     return np.asarray(simple.get(name, np.ones_like(v)))
-
-
-def _friction_direction(q: Array, v: Array, width: float) -> Array:
-    """Return the normalised play (N,) of a motion q (N,), which starts at rates v (N,)."""
-    if width <= STEP_WIDTH:
-        return np.asarray(np.sign(v))
-    place, w = np.empty_like(q), np.array(width)
-    p = np.asarray(q[0] - width * np.sign(v[0]))
-    for k, position in enumerate(q):
-        p = play_position(p, position, w)
-        place[k] = p
-    return np.asarray((q - place) / width)
 
 
 SMALLEST: Final = 0.02
@@ -290,6 +298,8 @@ class _Validated:
 
     def improves(self, other: "_Validated") -> bool:
         """True where the error is smaller by SMALLEST, and in the MAJORITY of the blocks."""
+        # One block with much of an effect could carry the mean by itself: most blocks have to
+        # agree.
         better = int((self.errors < other.errors).sum())
         return self.error < (1.0 - SMALLEST) * other.error and better >= MAJORITY
 
@@ -301,6 +311,7 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
     best = start = _validated(columns, JointEffects(), folds)
     kept: list[dict[str, Any]] = []
     while True:
+        # One further group at a time, in each of its shapes, beside those that are kept.
         further = best.effects.candidates(groups, speed)
         options = [_validated(columns, one, folds) for one in further]
         better = [
@@ -315,6 +326,7 @@ def select_effects(columns: JointColumns, groups: Collection[str], limits: Joint
         kept.append({"effect": chosen.effects.groups[-1], "share": share})
         best = chosen
     values = _values(columns, best.effects)
+    # Blocks decide which effects there are; their sizes come from all samples.
     X, y = columns.matrix(best.effects), columns.torque_with_delay(best.effects.delay)
     residual = y - X @ np.array(list(values.values()))
     before, after = (float(np.sqrt(one.error)) for one in (start, best))
@@ -332,6 +344,7 @@ def is_feasible(values: Mapping[str, float], limits: JointLimits) -> bool:
     """Return True for values (by column) that a gear can have."""
     friction = values["coulomb"] + values.get("stribeck", 0.0)
     curve = values.get("curved", 0.0) * limits.speed
+    # With values beyond these a gear would lock or drive itself.
     harmonics = [
         np.hypot(values[f"sin {order}"], values[f"cos {order}"])
         for order in range(1, 4)
@@ -348,12 +361,16 @@ def is_feasible(values: Mapping[str, float], limits: JointLimits) -> bool:
 def _validated(columns: JointColumns, effects: JointEffects, folds: Array) -> _Validated:
     """The effects with their residual on each block, predicted by the others."""
     X, y = columns.matrix(effects), columns.torque_with_delay(effects.delay)
+    # Normal equations of a block are subtracted from the sum: all left-out fits read the samples
+    # once. They suffice for a few columns that differ by far more than rounding.
     parts = [_normal(X[folds == f], y[folds == f]) for f in range(FOLDS)]
     G, g = (sum(part[i] for part in parts) for i in range(2))
     residual = np.empty_like(y)
     for f, (own, right) in enumerate(parts):
         left_out = folds == f
         beta = _solution(np.asarray(G - own), np.asarray(g - right), effects.columns)
+        # Judged on what was not fitted: further columns always reduce the residual of the fit
+        # itself.
         residual[left_out] = y[left_out] - X[left_out] @ beta
     errors = np.array([np.mean(residual[folds == f] ** 2) for f in range(FOLDS)])
     return _Validated(effects, errors, residual)
@@ -370,11 +387,14 @@ def _solution(G: Array, g: Array, names: tuple[str, ...]) -> Array:
     signed, curved = np.isin(names, NOT_NEGATIVE), np.isin(names, "curved")
     while True:
         x = np.zeros(len(g))
+        # Unit diagonal: the ridge is then the same share of each column, whatever its unit.
         scale = np.sqrt(np.maximum(np.diag(G)[free], 1e-300))
         scaled = G[np.ix_(free, free)] / np.outer(scale, scale)
         x[free] = np.linalg.solve(scaled + TINY * np.eye(len(scale)), g[free] / scale) / scale
         wrong = free & signed & (x < 0.0)
         if not wrong.any():
             return x
+        # A removed column never returns, as it could in exact non-negative least squares.
         free &= ~wrong
+        # Plant files state curvature relative to viscous friction: without this there is none.
         free &= ~curved | free[names.index("viscous")]

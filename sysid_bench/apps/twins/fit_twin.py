@@ -74,12 +74,15 @@ def coloured_noise(
     """
     processes = []  # autocovariances up to LONGEST, of processes of variance 1 behind the filter
     for constant in CONSTANTS:
+        # So long that the circular transform wraps nothing into the lags that are used.
         size = 1 << int(np.ceil(np.log2(max(8 * LONGEST, 8 * constant) * rate + 64)))
         impulse = np.zeros((size, 1))
+        # In the middle: a zero-phase filter answers on both sides.
         impulse[size // 2] = 1.0
         gain = np.abs(np.fft.rfft(filter.smooth(impulse, rate)[:, 0])) ** 2
         pole = np.exp(-1.0 / (rate * constant))
         angle = 2 * np.pi * np.arange(len(gain)) / size
+        # First-order autoregression of variance one.
         spectrum = (1 - pole**2) / (1 - 2 * pole * np.cos(angle) + pole**2)
         processes.append(np.fft.irfft(spectrum * gain, size)[: round(LONGEST * rate) + 2])
     columns = []
@@ -95,7 +98,10 @@ def coloured_noise(
         # The level counts as much as all lags together.
         weights = np.ones(count)
         weights[0] = np.sqrt(count)
+        # Variances are not negative: without the constraint the sum may fit better, and be the
+        # autocorrelation of no noise.
         variance, _ = nnls(basis * weights[:, None], found / found[0] * weights)
+        # The fit need not meet lag zero: scaled to it, the noise has the RMS of the residual.
         level = float(basis[0] @ variance)
         if level > 0:
             std[:] = np.sqrt(variance * found[0] / level)
@@ -104,6 +110,8 @@ def coloured_noise(
 
 def time_covariance(x: Array, count: int) -> Array:
     """Return the biased autocovariance (count,) of x (N,) about zero, at lags of samples."""
+    # Padded to twice the length: the transform is circular, a covariance is not. Divided by N at
+    # every lag, it is positive semidefinite.
     size = 1 << (2 * len(x) - 1).bit_length()
     power = np.abs(np.fft.rfft(x, size)) ** 2
     return np.asarray(np.fft.irfft(power, size)[:count] / len(x))
@@ -127,6 +135,7 @@ def plant_keys(
 ) -> dict[str, Any]:
     """Return the keys of the plant file of a robot that has the friction of the fits."""
     gravity, rows, measured = gravity_rms(robot, robot.mj), robot.rows, robot.torque_rows
+    # Joints about vertical axes carry no gravity: shares of nothing would be infinite.
     force = np.maximum(gravity, 1e-3 * gravity.max())
 
     def sizes(column: str, joints: Sequence[str] = rows) -> Array:
@@ -143,6 +152,7 @@ def plant_keys(
 
     widths, vs = shapes("width", STEP_WIDTH), np.array(shapes("vs", 1.0))
     load, peak, viscous = sizes("load"), of_gravity(sizes("stribeck")), sizes("viscous")
+    # Plant files state the change of viscous friction at the velocity limit over itself.
     curve = sizes("curved") * rate_limit(robot) / np.where(viscous > 0, viscous, np.inf)
     slope, late = sizes("time", measured), shapes("delay", 0.0, measured)
     shape = {"vs": vs.tolist(), "v0": (vs / SHARPNESS).tolist()}
@@ -155,6 +165,7 @@ def plant_keys(
     orders = dict.fromkeys(("first", "second", "third"), 0.0)
     for order, word in enumerate(orders, start=1):
         A, B = sizes(f"sin {order}"), sizes(f"cos {order}")
+        # A sin(k q) + B cos(k q) is one wave sin(k (q + phase)): hence the phase over the order.
         phase, share = np.arctan2(B, A) / order, _percent(of_gravity(np.hypot(A, B)))
         entry = {"use": "low-harmonics", **orders, word: share, "phase": phase.tolist()}
         effects.append((phase.any(), entry))
@@ -242,7 +253,11 @@ def fit_twin(
             _allowed(robot, name, groups),
             JointLimits(speed, torque),
         )
+    # The twin has the friction that was fitted beside the effects, not that of the identified
+    # model.
     own, rate = with_friction(robot, fits), replay_rate(signals[0].rate)
+    # Effects explain a part of the robot's residual, noise makes up the rest: together they have
+    # its level.
     residuals = [fit.residual for fit in fits.values()]
     noise = coloured_noise(residuals, step / signals[0].rate, filter, rate)
     rms = np.sqrt(np.mean(np.concatenate([one.tau for one in signals]) ** 2, axis=0))
@@ -275,6 +290,7 @@ def torque_of_bodies(fits: Mapping[str, JointFit], signals: JointSignals) -> Arr
             sum(fit.values[x] * effect_values(signals, j, x, effects) for x in effects.columns)
             for effects in (JointEffects(), fit.effects)
         )
+        # The delay is undone first: the columns were fitted to that torque.
         tau = np.interp(signals.t + fit.effects.delay, signals.t, signals.tau[:, j])
         left.append(tau - np.asarray(whole - friction))
     return np.column_stack(left)
@@ -282,6 +298,7 @@ def torque_of_bodies(fits: Mapping[str, JointFit], signals: JointSignals) -> Arr
 
 def _allowed(robot: RobotModel, row: str, groups: Collection[str] | None) -> list[str]:
     """Groups of a joint that may be kept; sizes of some refer to the torque of gravity."""
+    # Robots that move in a horizontal plane carry no gravity: a share could refer to nothing.
     loaded = bool(gravity_rms(robot, robot.mj).any())
     hinges = {joint.dofs[0] for joint in robot.joints if joint.kind == "hinge"}
     known = [name for name in group_names(row in hinges) if groups is None or name in groups]

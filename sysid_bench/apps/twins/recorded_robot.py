@@ -60,6 +60,7 @@ class RecordedRobot:
         """
         source, has_rates = self.problems.source, self.training[0].v is not None
         plant, preprocessing = replace(plant, has_rates=has_rates), source.builder.preprocessing
+        # Seeds of a replay and of its logs never overlap: no two of them share noise.
         again = [
             plant.along(
                 processed_recording(log, preprocessing), rate, seed * len(source.recordings) + k
@@ -115,13 +116,17 @@ def repeat_bound(recorded: RecordedRobot) -> float | None:
     if log is None or found is None:
         return None
     rate, columns = log.recording.rate, [log.robot.torque_rows.index(row) for row in rows]
+    # The difference of two recordings has the noise of both.
     apart = (found - log.recording.tau[:, columns]) / 2**0.5
     seconds = geometric_mean([residual_correlation_time(column, rate) for column in apart.T])
+    # The decay of a first-order process from one sample to the next. Repetitions show noise alone:
+    # what both motions share, such as friction that the model lacks, cancels.
     std, correlation = np.maximum(apart.std(axis=0), 1e-9), float(np.exp(-1.0 / (rate * seconds)))
     covariance = torque_bound((W for W, _ in posed.problem.blocks()), np.diag(std**2), correlation)
     if covariance is None:
         return None
     test = next(iter(posed.held_out.values()))
+    # W C W' of each test row: the variance of its predicted torque.
     variances = np.concatenate(
         [np.einsum("nij,jk,nik->ni", W, covariance, W) for W, _ in test.blocks()]
     )

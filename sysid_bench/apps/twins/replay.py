@@ -36,6 +36,7 @@ class Replay:
         """
         spec = self.spec(rate, seed)
         with tempfile.TemporaryDirectory() as folder:
+            # The way over a file is that of a suite: what is compared here can be repeated there.
             motion = _motion_text(self.robot, recording)
             Path(folder, MOTION).write_text(motion, encoding="utf-8")
             part = noise_free_part(spec, LoadedRobot(self.robot, Path(folder)))

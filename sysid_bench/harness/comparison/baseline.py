@@ -95,6 +95,7 @@ def _robot_text(baseline: Baseline, robot: str) -> str:
         }
     blocks = []
     for name, entries in parts.items():
+        # A line for each cell, so that a diff shows which cells a commit changed.
         texts = (json.dumps(v, separators=(",", ":"), ensure_ascii=False) for v in entries.values())
         named = zip(map(json.dumps, entries), texts, strict=True)
         text = ",\n    ".join(f"{key}: {value}" for key, value in named)
@@ -267,6 +268,7 @@ def _updated_cells(changes: RunDifference, new: set[str]) -> dict[str, CellValue
         by_cell.setdefault(change.cell, []).append(change)
     cells = {}
     for cell, now in changes.after.cells.items():
+        # Values within their tolerance stay, or baselines would drift with each update.
         changed = {change.metric for change in by_cell.get(cell, ())}
         if cell in new or STATUS in changed:
             cells[cell] = now
@@ -303,6 +305,7 @@ def _timed_robots(changes: RunDifference) -> set[str]:
     moved = {one.robot for one in changes.speeds if one.verdict in ("slower", "faster")}
     if ALL in moved:
         return robots
+    # Speeds are relative to all parts: one part more changes those of the others.
     moved |= {robot for robot, _ in old.speeds.keys() ^ now.speeds.keys()}
     return {
         robot

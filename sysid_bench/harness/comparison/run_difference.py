@@ -126,6 +126,7 @@ def find_difference(
         if (now := after.parameters.get(key)) is None:
             continue
         largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
+        # Below this share of the robot's largest parameter both are rounding.
         same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
         for name in dict.fromkeys((*was, *now)):
             a, b = was.get(name), now.get(name)
@@ -254,6 +255,7 @@ def _ratio(
         # A ratio of two roundings says nothing. Those within the digits of a baseline are zero.
         sound = (pair for pair in values if min(pair) > max(floor, 0.0))
         of_robot = [float(np.log(now / was)) for was, now in sound]
+        # Below the digits of a baseline: such a log must not give the rank test a sign.
         logs[robot] = [0.0 if abs(log) < _DIGITS else log for log in of_robot]
     means = mean_by_robot(
         [robot for robot, values in logs.items() for _ in values],

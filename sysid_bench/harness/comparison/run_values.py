@@ -162,6 +162,7 @@ def label_axes(cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     settings = len({cell["robot"] for cell in cells})
     for axis in _AXES:
         more = len(set(map(itemgetter("robot", *kept, axis), cells)))
+        # An axis that splits no group says nothing that the ones before it do not.
         if more > settings:
             kept, settings = (*kept, axis), more
     return kept
@@ -272,6 +273,7 @@ class Tolerance:
             return False
         if self.kind == "absolute":
             return abs(after - before) <= self.size
+        # Below the floor both are rounding; a change of sign above it is never the same.
         low, high = sorted((max(abs(before), self.floor), max(abs(after), self.floor)))
         return (before * after >= 0 and high <= self.size * low) or high <= self.floor
 

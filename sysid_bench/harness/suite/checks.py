@@ -30,6 +30,8 @@ Value = TypeVar("Value")
 class SuiteTable(BaseModel):
     """A table of the suite file."""
 
+    # Keys are documented where they stand: the comment behind a field and the text below it are its
+    # meaning in the reference (reference/keys.py).
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
@@ -47,6 +49,7 @@ class CheckInput:
         if metric.name in self.row_fields or metric.name in self.metrics:
             raise UsageError(f"The metric name {metric.name!r} is used already; choose another.")
         self.metrics[metric.name] = metric
+        # Before the tables and conditions that name it: pydantic checks keys in the order of Suite.
         self.row_fields |= {metric.name}
         return metric
 
@@ -74,6 +77,7 @@ class Quantity:
 
     def __call__(self, value: Any) -> Any:
         """Return the value as written."""
+        # Checked here and kept as written: a frozen suite and its labels show what the user wrote.
         number = value_of(partial(quantity, value, self.unit))
         if number < 0 or (self.positive and number == 0):
             least = "positive" if self.positive else "0 or more"
@@ -131,6 +135,7 @@ def choice_of(kind: str, words: tuple[str, ...]) -> BeforeValidator:
 
 def list_of(value: Any) -> Any:
     """Return a sweep: a list as it is, anything else as a sweep of one value."""
+    # One value needs no brackets in a suite, and is a sweep nevertheless.
     values = list_values(value)
     if not values:
         raise ValueError("an empty sweep leaves nothing to run; give a value or drop the key.")

@@ -125,6 +125,7 @@ def _runs(value: Any) -> Any:
 
 def _contacts(value: Any) -> Any:
     if value != "detect":
+        # Checked and kept as texts, since ids are of what is written.
         texts = [value] if isinstance(value, str) else list(value)
         value_of(lambda: [interval(text) for text in texts])
         return texts

@@ -50,6 +50,7 @@ class Expression:
                 tree = ast.parse(text.strip(), mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise UsageError(f"{text!r} cannot be read as a condition. {_GRAMMAR}") from error
+        # Functions from a checked tree, and no eval: suites come from other people.
         reader = _Reader(text)
         try:
             holds = reader.condition(tree)
@@ -167,6 +168,7 @@ def _literal(node: ast.expr) -> Any:
 
 
 def _equal(value: Any, literal: Any) -> bool:
+    # Alternative names of one thing: any of them may be meant.
     if isinstance(value, tuple):
         return any(_equal(name, literal) for name in value)
     if value == literal:

@@ -60,6 +60,7 @@ def parse_suite(
     if overrides:
         data = set_values(data, overrides)
     if folder is not None and "origin" not in data:
+        # A frozen suite has its own: it must not move with the run folder.
         data["origin"] = {"folder": str(folder)}
     if confidence_level() != LEVEL:  # stated on the command line
         data["confidence"] = confidence_level()
@@ -119,6 +120,7 @@ def suite_text(suite: Suite) -> str:
 
 def _read(text: str, file: str) -> dict[str, Any]:
     try:
+        # TOML and not YAML, which reads 10:30 as the number 630.
         return parse_toml(text)
     except ValueError as error:
         raise UsageError(f"{file}: not valid TOML: {error}.") from error
@@ -154,6 +156,7 @@ def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], name
     place = Path(folder) if isinstance(folder, str) else None
     context = CheckInput(names, place, frozenset(settings))
     try:
+        # pydantic goes on behind a mistake: all of them are reported at once, with their places.
         return Suite.model_validate(data, context=context)
     except ValidationError as error:
         mistakes = [_mistake(problem, data, file, lines) for problem in error.errors()]

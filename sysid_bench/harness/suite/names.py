@@ -139,12 +139,14 @@ def _definition(kind: str, use: str) -> ast.stmt | None:
     if file.suffix != ".py":
         return None  # compiled
     try:
+        # Parsed and not imported: --no-code executes nothing of a suite.
         tree = ast.parse(read_data(file), str(file))
     except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
         raise UsageError(f"{str(file)!r} is not valid Python: {error}.") from error
     names = {name: one for one in _statements(tree.body) for name in _names_of(one)}
     if names.keys().isdisjoint((attribute, "*", "__getattr__")):
         raise unknown_name(f"object in {str(file)!r}", attribute, names)
+    # None for `*` and __getattr__: the object may be there, but no statement shows it.
     return names.get(attribute)
 
 

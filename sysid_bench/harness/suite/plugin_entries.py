@@ -213,6 +213,7 @@ def with_plant_file(written: Any, folder: Path | None) -> Any:
     for key in own:
         if key not in allowed:
             raise unknown_name("key of a plant file", key, allowed)
+    # The file's content, not its name: cells keep their meaning when the file changes.
     table = {key: value for key, value in data.items() if key not in ("schema", "title")}
     return {**table, **own, "use": COMPOSED}
 

@@ -96,6 +96,8 @@ def _start_child(function: Callable[[Send], Any]) -> tuple[int, int]:
         with warnings.catch_warnings():
             # The other thread of a worker waits for its input and holds no lock that a child takes.
             warnings.simplefilter("ignore", DeprecationWarning)
+            # A fork has the prepared experiment and the engines, each of which is imported for half
+            # a second. It keeps faults in, and no cheat out: the truth is in its memory.
             child = os.fork()
     except OSError:
         os.close(read_end)
@@ -114,6 +116,7 @@ def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
     os.setsid()  # it may end its process group, and not the worker with it
     kill_with(parent)
     # Close what the parent has open (row file, notices, lock), except the standard streams.
+    # Close-on-exec does not act at a fork, and an orphan would hold the lock of the run.
     open_now = os.listdir("/proc/self/fd") if sys.platform == "linux" else ()
     for descriptor in map(int, open_now):
         if descriptor > 2 and descriptor != pipe:

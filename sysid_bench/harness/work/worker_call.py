@@ -72,6 +72,7 @@ class CallWorker:
             json.dumps(argument)
         except (TypeError, ValueError) as error:
             raise UsageError(f"{title}: its settings are not JSON values ({error}).") from error
+        # On the first call: a suite without third-party names starts no process.
         if self._worker is None:
             folder = Path(self._folder.name)
             settings = WorkerSettings(folder, self.timeout, threads=1, memory=self.memory)
@@ -79,6 +80,7 @@ class CallWorker:
         self._worker.start_job(Job(function, argument, cells=()))
         try:
             notice = self._last_notice(self._worker, on_progress)
+        # In the midst of a call, after Ctrl-C: the worker cannot take another one.
         except BaseException:
             self._end()
             raise

@@ -54,6 +54,7 @@ class APriori(WeightedPrior):
         U, values, Vt = np.linalg.svd(R[:, :-1] @ (K * std), full_matrices=False)
         projected = U.T @ (R[:, -1] - R[:, :-1] @ (K @ prior.theta))
         theta = prior.theta + std * (Vt.T @ (values / (values**2 + 1.0) * projected))
+        # Excited directions keep 1 / (s^2 + 1) of the prior's variance, all others the whole of it.
         excited = (K * std) @ Vt.T
         unexcited = K * std - excited @ Vt
         root = np.hstack([excited / np.sqrt(values**2 + 1.0), unexcited])
@@ -96,6 +97,7 @@ class Ridge:
     def _fit(self, problem: Problem, weight: float | None) -> Estimate:
         R = stacked_factor(problem, (1.0 / row_noise(problem)).tolist())
         norms = np.linalg.norm(R[:, :-1], axis=0)
+        # Unit columns: one k acts alike on kg, kg m and kg m^2.
         norms = np.where(norms > 0, norms, 1.0)
         U, values, Vt = np.linalg.svd(R[:, :-1] / norms, full_matrices=False)
         projected = U.T @ R[:, -1]

@@ -85,16 +85,23 @@ class OutputError:
 
     def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (N, channels, r) of the simulated signal by beta."""
-        assert trial.recording is not None
+        experiment, recording = self.experiment, trial.recording
+        assert recording is not None
         if self.kind == REGRESSOR:
-            return regressor_of(self.experiment, trial.recording.motion)
+            return regressor_of(experiment, recording.motion)
         if self.kind == DIFFERENCES:
             return self._differences(trial)
         if self.kind == FIRST:
+            # Kept in the instance, which is frozen: a Jacobian is no setting.
             if "first" not in vars(self):
                 vars(self)["first"] = self._differences(trial)
             return np.asarray(vars(self)["first"])
-        sensitivity = self._sensitivity(trial)
+        dq, dtau = TrackingSensitivity(experiment, recording, trial.beta).jacobian()
+        columns = [
+            self.signal(experiment, replace(recording, q=dq[..., j], tau=dtau[..., j]))
+            for j in range(len(trial.beta))
+        ]
+        sensitivity = np.stack(columns, axis=-1)
         if self.kind == SENSITIVITY:
             return sensitivity
         if "kept" in vars(self):
@@ -122,16 +129,6 @@ class OutputError:
             size = min(TORQUE_CHANGE * torque / effect, limit)
             other = self.evaluate(trial.theta + size * direction)
             columns.append((trial.error - other.error) / size)
-        return np.stack(columns, axis=-1)
-
-    def _sensitivity(self, trial: ModelResult) -> Array:
-        experiment, recording = self.experiment, trial.recording
-        assert recording is not None
-        dq, dtau = TrackingSensitivity(experiment, recording, trial.beta).jacobian()
-        columns = [
-            self.signal(experiment, replace(recording, q=dq[..., j], tau=dtau[..., j]))
-            for j in range(len(trial.beta))
-        ]
         return np.stack(columns, axis=-1)
 
 

@@ -128,6 +128,7 @@ def check_estimate(problem: Problem, beta: Array, start: Array) -> None:
     """Raise EstimationError for an iterate beta (r,) that is not finite, or that explains the
     measured torques worse than both the start (r,) and no model at all."""
     rms = torque_rms(problem)
+    # Rows over their RMS torque: the strongest joint alone must not acquit an iterate.
     R = stacked_factor(problem, (1.0 / np.where(rms > 0, rms, 1.0)).tolist())
     errors = [np.linalg.norm(R @ np.append(one, -1.0)) for one in (beta, start, 0.0 * start)]
     if not np.isfinite(errors[0]) or errors[0] > max(errors[1:]):
@@ -235,6 +236,8 @@ class DIDIM:
             motion = simulated.motion
             W = decimated(regressor_of(experiment, motion))
             b = decimated(rows_of(experiment, experiment.raw.tau) - experiment.known(motion))
+            # The stop rule compares residuals of two iterations, and needs weights that stay
+            # between them: those of the torques, not of the residuals.
             size = error_noise(b, floor_of(b))
             beta, _, sigma = weighted_fit(W, b, size)
             rest = b - W @ beta
@@ -292,6 +295,8 @@ class IV:
                 beta, R, Q_W = _solution(Z, W, b, sigma)
                 rest = b - W @ beta
                 sigma = error_noise(rest, floor_of(b))
+            # With whitened Z = Q R the factor R cancels: beta = (Q'W)^-1 Q'b, with this root of its
+            # covariance.
             inverse = np.linalg.inv(Q_W)
             residual = float(np.linalg.norm(rest / size) / np.linalg.norm(b / size))
             return LinearFit(beta, inverse @ inverse.T, R, residual)

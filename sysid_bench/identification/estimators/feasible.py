@@ -191,6 +191,7 @@ class LogCholesky(_FeasiblePrior):
         # u = inverse (x - origin), whose squares are the excess over least squares.
         inverse = np.linalg.inv(base.T)[: base.rank]
         eta, total = chart.eta0, 0
+        # The first weight makes the misfit of the prior, the start, as large as one unit of noise.
         share = 1.0 / max(float(np.linalg.norm(inverse @ (x0 - base.origin))), 1.0)
         while True:
             eta, count, decrement = newton_fit(

@@ -120,6 +120,7 @@ class JointFilter:
         if not np.isfinite(belief.mean).all() or np.array_equal(beta, first):
             raise EstimationError("The filter's state is not finite, or it has not left its start.")
         R = stacked_factor(self.experiment.problem)
+        # Distances in torque: what hardly acts on it may go far without any divergence.
         if step_rms(R, beta - first) > 100 * step_rms(R, first):
             raise EstimationError("The filter diverges from its start: the noise is too large.")
         part = slice(2 * self.n, None)

@@ -98,6 +98,8 @@ class TLS:
         every direction or the errors exceed the least excited direction."""
         R = stacked_factor(problem)
         check_rank(R)
+        # Unit columns, that of b among them: TLS takes equal errors in all of them, and units would
+        # decide what is equal.
         norms = np.linalg.norm(R, axis=0)
         if norms[-1] == 0.0:
             return Estimate(np.zeros(problem.base.rank))
@@ -105,6 +107,7 @@ class TLS:
         smallest = np.linalg.svd(unit, compute_uv=False)[-1]
         U, values, Vt = np.linalg.svd(unit[:, :-1], full_matrices=False)
         reduced = values**2 - smallest**2
+        # Near zero the difference of squares has lost its digits, and what it divides is noise.
         if reduced[-1] <= 1e-3 * values[-1] ** 2:
             raise EstimationError(
                 "Errors in the regressor are as large as its least excited direction: total least "

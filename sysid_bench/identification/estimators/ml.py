@@ -175,6 +175,7 @@ class _Line:
         R = residual_factor(white[:, None, :r], white[:, r:])
         step = solve(R)
         rest = e - self.W.reshape(-1, r) @ step
+        # Positions given the residual: dq = S_q A' C^-1 rest with C = L L'.
         found = _whiten(L, _whiten(L, rest[:, None]), transposed=True)[:, 0]
         q = self.q + (self.away + weighted.T @ found).reshape(self.q.shape)
         return R, step, q, rest.reshape(M, -1)

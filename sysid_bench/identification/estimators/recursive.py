@@ -59,7 +59,7 @@ class RLS:
         _check_forgetting(self.forgetting)
         sigma = row_noise(problem)
         R = update(problem, sigma, self.forgetting)
-        check_rank(R * np.append(np.ones(problem.base.rank), 0.0))
+        check_rank(R)
         # Weights g^(N - k) make the covariance H^-1 H2 H^-1, H2 with the weights squared.
         squared = update(problem, sigma, self.forgetting**2)[:-1, :-1]
         spread = covariance(R) @ squared.T

@@ -120,6 +120,7 @@ class IRLS:
         farthest = float(chdtri(k, erfc(self.cut / sqrt(2)))) if self.cut < 30 else np.inf
         share = float(chdtr(k + 2, farthest) / chdtr(k, farthest)) if farthest < np.inf else 1.0
         residual = rows.residual(rows.R @ beta)
+        # Robust scales first: in a plain covariance an outlier would hide itself.
         whiten = np.diag(1 / row_scale(problem, residual)[felt])
         counted = np.ones(len(residual), dtype=bool)
 

@@ -66,6 +66,8 @@ class Rollout:
             )
         q = measured.q[: C * S].reshape(C, S, -1).transpose(1, 0, 2)
         first, motion = np.arange(0, C * S, S), measured.motion
+        # The filtered motion starts the segments; their own best start is eliminated in each
+        # evaluation.
         begin = np.concatenate([motion.q[first], motion.v[first]], axis=1)
         forward = AccelerationModel(experiment, 1 / measured.rate, self.substeps)
         pieces = _Pieces(experiment, forward, measured, q, first, begin)

@@ -20,6 +20,7 @@ CONVERGED: Final = 1e-9
 """Newton decrement at convergence, relative to the weight."""
 
 _OFF_DIAGONAL = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # s12 s23 s13 t1 t2 t3
+# The ten matrices of the basis span the symmetric ones: the least-squares inverse is exact.
 _FROM_MATRIX = np.linalg.pinv(BASIS.reshape(10, 16).T)
 
 
@@ -173,6 +174,8 @@ class _Objective:
 def _solver(hessian: Array, size: Array, damping: float) -> Callable[[Array], Array] | None:
     """g -> (H + damping diag)^-1 g, or None where that is not positive definite."""
     scaled = hessian * size * size[:, None]
+    # Damping on a unit diagonal is relative (Marquardt): logarithms of masses and products of
+    # inertia have unlike curvature.
     scaled[np.diag_indices(len(size))] += damping
     try:
         factor = cho_factor(scaled, overwrite_a=True)

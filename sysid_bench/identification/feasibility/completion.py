@@ -40,6 +40,8 @@ def completed_parameters(
     std = spread_of(feasible, prior)
     x0 = feasible_point(feasible, prior.theta / feasible.scale, std)
     near = divergence(feasible, x0, std)
+    # "pullback" holds the affine-invariant metric at the prior, where it is the Hessian of the
+    # entropic distance: the two agree near it.
     metric = np.diag(1 / std**2) if distance == "euclidean" else near.metric
     # The nearest point in a fixed metric also starts the entropic fit, which needs a feasible one.
     found = nearest(feasible, base, beta, x0, metric)

@@ -110,6 +110,8 @@ def newton(
     for iteration in range(1, MOST + 1):
         try:
             step = iterate.direction(weight)
+            # The second way out is rounding: on the central path each decrement would else be far
+            # below half of the last.
             if step.decrement <= DECREMENT * weight or (
                 iterate.mu <= CENTRAL * weight and ROUNDED * weight >= step.decrement > 0.5 * before
             ):

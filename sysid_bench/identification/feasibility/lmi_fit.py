@@ -146,6 +146,8 @@ def fit(
     """
     at = scaled_coordinates(feasible, problem, start)
     p, r = len(start), at.rank
+    # u has unit weight by its definition. Torques do not depend on n, which needs a little weight
+    # of its own: without it the program has no single answer.
     P, q = np.diag(np.repeat([1.0, WEAK], [r, p - r])), np.zeros(p)
     if pull is not None:
         P, q = P + at.T.T @ pull @ at.T, at.T.T @ (pull @ (at.origin - start))

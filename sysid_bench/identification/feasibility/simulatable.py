@@ -179,6 +179,7 @@ class FreeSet(SimulatableSet):
     def with_base(self, theta: Array, beta: Array) -> Array:
         """Return theta moved onto K theta = beta along the pivots."""
         moved = theta.copy()
+        # K is the identity on its pivots: they take up the whole difference.
         moved[self.problem.base.pivots] += beta - self.problem.base.K @ theta
         return moved
 

@@ -66,6 +66,7 @@ def select_columns(
             after = _errors(folds, grams, [*current, column])
             # Largest relative reduction of the error of a row that the column acts on.
             gain = float(np.max(1.0 - after[list(rows)] / errors[list(rows)]))
+            # A column that serves one row and harms the others is none of the robot's.
             improves = gain >= GAIN and _rms(after) < _rms(errors)
             if improves and (best is None or gain > best[0]):
                 best = gain, column, after

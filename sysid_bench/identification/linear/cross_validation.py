@@ -178,6 +178,7 @@ def _error(
     try:
         estimate = fit(train, weight)
     except (EstimationError, np.linalg.LinAlgError) as error:
+        # A weight whose fit fails in one part loses, and does not end the search.
         return np.inf, str(error)
     beta = estimate.beta if estimate.theta is None else train.base.K @ estimate.theta
     assert beta is not None

@@ -21,6 +21,8 @@ def stacked_factor(problem: Problem, weights: Sequence[float] | None = None) -> 
     """R (r + 1, r + 1) of [W | b], each row of the robot times its weight."""
     r = problem.base.rank
     scales = [1.0] * len(problem.factors) if weights is None else weights
+    # R of stacked R factors is R of the stacked rows, whose Q cancel: no sample is read again, and
+    # normal equations, which square the condition number, never appear.
     parts = [
         scale * spread(factor, r) for factor, scale in zip(problem.factors, scales, strict=True)
     ]
@@ -132,6 +134,7 @@ def row_noise(problem: Problem) -> Array:
     """
     sizes = np.zeros(problem.base.rank)
     for factor in problem.factors:
+        # What is rounding in one row is judged by the size that its column has in any other.
         np.maximum.at(sizes, factor.columns, np.linalg.norm(factor.R[:, :-1], axis=0))
     return with_floor(problem, np.array([_own_sigma(factor, sizes) for factor in problem.factors]))
 

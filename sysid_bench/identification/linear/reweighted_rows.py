@@ -155,8 +155,11 @@ def reweighted_fit(
         # similar weights has the same fixed point, for a hundredth of the products.
         if iteration & (iteration - 1) == 0:
             root = information_factor(now.blocks())
+        # A step from the present residual, not a fit of b: an old or rounded factor changes the
+        # way, and not the fixed point.
         change = np.asarray(cho_solve((root, False), rows.gradient(now.residual)))
         gamma = gamma + change
+        # |gamma| = |R beta| is the size of the torques: the stop rule depends on no unit.
         small = np.linalg.norm(change) <= SMALL * np.linalg.norm(gamma)
         converged = iteration > hold_after and bool(small)
         if converged:

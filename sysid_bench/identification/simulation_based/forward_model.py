@@ -255,10 +255,12 @@ class SensitivityModel:
         motion = Trajectory(np.zeros(len(a)), x.q, x.v, a)
         by_q, by_v = torque_jacobian(self.forward, self._smooth, motion, Y @ self._smooth + known)
         columns, friction = self.measured.columns, self.measured.friction
+        # Friction follows the measured motion: its columns do not depend on the simulated state.
         Y[:, :, columns] = (1 - share) * friction[at] + share * friction[at + 1]
         change = by_q @ x.dq + by_v @ x.dv
         change[:, :, -Y.shape[2] :] += Y
         if given is not None:
+            # A joint at standstill follows its measured acceleration, whatever state and beta are.
             change[given[0]] = 0.0
         return a, -np.linalg.solve(solved_with, change), M
 
@@ -274,6 +276,7 @@ def torque_jacobian(
     v = (motion.v[:, None] + steps[:, n:]).reshape(-1, n)
     nudged = Trajectory(np.zeros(len(q)), q, v, motion.a.repeat(2 * n, axis=0))
     there = forward.torque(beta, nudged).reshape(S, 2 * n, n)
+    # One-sided: the torque at the state itself is known, which halves the evaluations.
     slopes = (there - tau[:, None]).transpose(0, 2, 1) / NUDGE
     return slopes[:, :, :n], slopes[:, :, n:]
 

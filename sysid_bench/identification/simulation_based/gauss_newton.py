@@ -187,11 +187,14 @@ def _better(
     """First of the halved steps to `goal` that increases the likelihood, and the halvings."""
     now = _log_likelihood(trial.error, model.floor)
     for times in range(tries):
+        # Halfway between two feasible points is feasible: the set is convex.
         theta = trial.theta + 0.5**times * (goal - trial.theta)
         try:
             after = model.evaluate(theta)
         except (EstimationError, SimulationError):
             continue
+        # Likelihood and not squares of weighted errors: the weights follow the residuals, and their
+        # decrease would be no progress.
         if _log_likelihood(after.error, model.floor) > now:
             return after, times
     return None, tries

@@ -155,4 +155,5 @@ def white_noise(x: Array) -> Array:
     """
     # The squared coefficients C(6, k)^2 of the difference sum to C(12, 6).
     gain = np.sqrt(comb(2 * ORDER, ORDER))
+    # The median ignores the few samples at which friction jumps.
     return np.asarray(np.median(np.abs(np.diff(x, ORDER, axis=0)), axis=0) / (0.6745 * gain))

@@ -50,6 +50,7 @@ class TrackingSensitivity:
         dq, dv = np.zeros((2, N, n, len(self.beta)))
         x = np.zeros((2 * n, len(self.beta)))
         for first in range(0, N - 1, CHUNK):
+            # Chunks share a sample: the last state of one is the first of the next.
             at = np.arange(first, min(first + CHUNK, N - 1) + 1)
             states = self._integrated(at, x)
             x = states[-1]

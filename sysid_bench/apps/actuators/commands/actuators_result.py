@@ -296,6 +296,7 @@ def _between(singles: Sequence[DriveRows], fits: Sequence[DriveEstimate]) -> dic
 def _ranges(values: Array) -> dict[str, Array]:
     """Mean and deviation (...) of the values of n files (n, ...), and the ends of the range of a
     new one."""
+    # Of a new file, not of the mean: the next robot, day or floor scatters as these did.
     low, high = new_value_interval(values)
     return {
         "mean": values.mean(axis=0),

@@ -326,6 +326,7 @@ def _crowding(robot: RobotModel, places: Sequence[int]) -> Callable[[Array], flo
         for one in q[::THINNED] if scene.shapes else ():
             whole[list(places)] = one
             nearest = min([nearest, *(distance for distance, _, _ in scene.contact_list(whole))])
+        # 0 where no links are near, 1 at the clearance: a use like that of other limits.
         return (CROWDED - nearest) / (CROWDED - CLEARANCE)
 
     return use
@@ -336,6 +337,8 @@ def _fields(problem: CommandProblem, candidate: CommandCandidate) -> dict[str, A
     joints, values, commands = problem.drives.joints, problem.drives.values, candidate.commands
     std, armature = candidate.information.std, _armature_std(problem, candidate)
     half = len(commands) // len(candidate.curves.gains)
+    # What stays open is per sample and not per recording: the first half stands for a whole one
+    # under the first gains alone.
     one = command_information(problem, commands.select(slice(0, half)))
     limits = _limit_fields(problem, candidate)
     return {
@@ -406,6 +409,7 @@ def _model_warnings(request: CommandsRequest, problem: CommandProblem) -> Iterat
     whole = load_robot(find_manifest(str(request.robot), request.robots_dir))
     if any(joint.kind == "free" for joint in whole.joints):
         yield "the base is held fixed, on a stand or hung up: no foot may touch the ground"
+    # Loading fills in a usual limit where the file states none: that is no limit of a motor.
     usual = [
         joint.name
         for joint, v in zip(robot.joints, problem.v, strict=True)

@@ -103,6 +103,7 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
 
     found = identify_recordings(lambda b: pooled_rows(single_rows(b)), request.share, delay)
     _check_gains(found)
+    # Judged on what was not fitted: residuals of the fit say little of a rollout.
     errors = _DriveErrors(found, judged)
     result = ActuatorsResult(
         model=manifest.name,
@@ -113,6 +114,7 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
                   *_warnings(parts, errors)],
         **_fields(parts, errors),
     )  # fmt: skip
+    # At the bias of all files: their values then differ by the recordings alone.
     singles = single_rows(found.rows.bias) if len(parts) > 1 else []
     result = replace(result, **file_fields(singles, request.share, delay, result.joints))
     result = replace(result, configurations=_configurations(result, judged[0]))
@@ -355,6 +357,8 @@ def _with_model(
         again = replay_positions(target, found.drives.apply(commands), judged.rows)
         simulated = simulated_positions(robot, found.drives, commands, judged.rows)
         bias = found.drives.more.get("bias", np.zeros(len(commands.joints)))
+        # Both simulate the same drives: beyond rounding they may differ by what else stands in the
+        # file.
         gap = largest_difference(again, simulated + bias)
         if gap > REPEATED:
             warning = (

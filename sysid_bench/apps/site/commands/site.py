@@ -401,6 +401,7 @@ def _differences(
 
     select = f"id in [{', '.join(map(repr, cells))}]".replace("'", '"')
     numbers = (name for name in names_of("cell") if not METRICS[name].text)
+    # Times and memory differ on any machine, and are no sign of another answer.
     metrics = tuple(name for name in numbers if name not in MACHINE_FIELDS)
     with tempfile.TemporaryDirectory(prefix="sysid-bench-") as folder:
         again = execute(

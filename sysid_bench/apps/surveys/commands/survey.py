@@ -197,6 +197,7 @@ def survey(
     found = _records(jobs, folder)
     changes: Sequence[Change] = []
     if known is not None and ending == "finished":
+        # Models that were not asked for are not gone.
         if asked.limit is not None:  # the part of the baseline with the models of these jobs
             chosen = {job.argument["id"] for job in jobs}
             known = {name: values for name, values in known.items() if name in chosen}

@@ -59,6 +59,8 @@ def identify_twin(recorded: RecordedRobot, truth: str, place: Path, *, null: boo
             break
         robot = identify_robot(recorded.without_effects(found), truth, place)
         again = fit_twin(robot, source.training, preprocessing, groups)
+        # Bodies and effects can take up each other's torque: left-out blocks tell when a further
+        # round only moves it.
         if again.left_out_residual >= found.left_out_residual:
             break
         found = again
@@ -116,6 +118,8 @@ def residual_spectra(
         for one in several:
             samples = min(len(one.e), round(SEGMENT * one.rate))
             own, density = welch(one.e, one.rate, nperseg=samples, axis=0)
+            # Without f = 0: it has no place on a logarithmic axis, and the mean of each segment is
+            # removed.
             columns = [np.interp(f, own[1:], column[1:]) for column in density.T]
             each.append(np.maximum(np.column_stack(columns), 1e-30))
         densities[source] = np.asarray(np.mean(each, axis=0))

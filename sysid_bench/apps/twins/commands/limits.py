@@ -126,6 +126,7 @@ def _bound(place: str | None) -> float | None:
     from sysid_bench.apps.twins.recorded_robot import of_data_set, repeat_bound
 
     try:
+        # Rows are stored, recordings may be elsewhere: the bound alone needs them.
         return None if place is None else repeat_bound(of_data_set(place))
     except SysidBenchError:
         return None

@@ -192,6 +192,8 @@ class TransferResult(Result):
         bases = dict.fromkeys(label.rpartition(", ")[0] for label in figures if label != CEILING)
         for base in bases:
             labels = [source_label(base, truth) for truth in self.truths]
+            # Where the identified models disagree, the verdict is one on the model, not on the
+            # source.
             reached = {_reaches(figures[label]) for label in labels if label in figures}
             yield f"{base} {words[reached.pop()] if len(reached) == 1 else 'open'}"
 
@@ -260,6 +262,7 @@ def _counts(
         for source, draws in sources.items():
             # Of CEILING the first recorded test is taken for simulated.
             pairs = [(real[:1], real[1:])] if source == CEILING else [(one, real) for one in draws]
+            # All verdicts refer to the reference: a draw in which it failed has none.
             usable = [
                 pair
                 for pair in pairs

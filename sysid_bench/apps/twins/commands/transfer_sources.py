@@ -68,6 +68,7 @@ class Sources:
     def _plant(self, source: str, truth: str, robot: RobotModel) -> tuple[Replay, float]:
         """The plant of a source and the rate (Hz) of its replays."""
         if source not in (TWIN, NULL):
+            # Levels know nothing of the recordings but the motion and its rate.
             rate = self.recorded.problems.source.training[0].recording.rate
             return Replay(robot, with_plant_file({"use": source}, None)), replay_rate(rate)
         with tempfile.TemporaryDirectory() as folder:
@@ -81,10 +82,13 @@ class Sources:
         for method in self.methods:
             try:
                 tests = residual_of(posed, method)
+            # A method that fails has no error here, and its pairs are left out (`verdict_counts`).
             except EstimationError:
                 continue
             if len(tests) == 1:
                 (one,), middle = tests, len(tests[0].e) // 2
+                # A difference is real where it exceeds the spread between tests: of a single test,
+                # its halves stand for two.
                 tests = [
                     replace(one, e=one.e[half], torque=one.torque[half], t=one.t[half])
                     for half in (slice(None, middle), slice(middle, None))

@@ -204,6 +204,7 @@ def twin(
         files = _write(found, place, model)
         if figure is not None:
             _draw(recorded, found, truth, place, Path(figure))
+    # The tests took no part in the fit.
     compared = _compared(recorded, found, seed) if recorded.tests else {}
     judged = compared.pop("joints", {})
     joints = {name: _fit_fields(found, name) | judged.get(name, {}) for name in found.fits}
@@ -223,6 +224,7 @@ def _draw(recorded: "RecordedRobot", found: "Twin", truth: str, place: Path, pic
 
     if not recorded.tests:
         raise UsageError("--figure compares residuals on tests: give --test other.toml, too.")
+    # The null twin is what a twin must beat: noise of the same residual, nothing that repeats.
     null = identify_twin(recorded, truth, place.with_name("null.toml"), null=True)
     sources = {
         "recorded": residual_of(recorded.problems),

@@ -81,6 +81,7 @@ def _explained_text(rows: Sequence[Mapping[str, Any]]) -> str:
         by_type.setdefault(row["type"], []).append(more)
     means = [float(np.mean(values)) for values in by_type.values()]
     wins = sum(mean > 0 for mean in means)
+    # A sign test over types of robot: nothing is assumed of the shares but which of two is larger.
     p = binomtest(wins, len(means)).pvalue
     found, limits = robot_median(means), ""
     if found.low is not None and found.high is not None:
