@@ -108,8 +108,8 @@ def repeat_cells(
     argument: Mapping[str, Any], channel: JobChannel | None = None
 ) -> dict[str, list[Row]]:
     """Status, end of the iterations and scores of the estimators of `argument["job"]` (see
-    `job_of` in harness/run.py) by cell: for the data of their experiment, then for `argument["repeats"]` copies
-    with other last bits (seeds 0, 1, ...).
+    `job_of` in harness/run.py) by cell: for the data of their experiment, then for
+    `argument["repeats"]` copies with other last bits (seeds 0, 1, ...).
 
     Raises UnsupportedError or UsageError for an experiment that cannot be made.
     """
