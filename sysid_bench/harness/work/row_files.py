@@ -120,7 +120,7 @@ class RowStart(NamedTuple):
 
 
 class RowWriter:
-    """Appends rows to its own file; once `append` returns, the operating system holds the row."""
+    """Appends rows to its own file; once `write` returns, the operating system holds the row."""
 
     def __init__(self, path: Path) -> None:
         # A file for each writer needs no lock, also on network folders, where SQLite's WAL is not
