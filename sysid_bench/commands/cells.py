@@ -2,7 +2,7 @@
 repeated on data whose last bits differ."""
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -71,40 +71,22 @@ class Cells(Request["CellsResult"]):
         Raises UsageError for an unknown field.
         """
         from sysid_bench.commands.run_folder import open_run, rerun_command
-        from sysid_bench.harness.cell import fields
-        from sysid_bench.harness.suite.expression import Expression
         from sysid_bench.metrics import METRICS
 
         run = open_run(self.folder)
-        plan, rows = run.plan, run.rows().rows
-        known = {*plan.fields, *METRICS, *run.suite.metrics, "status", "reason"}
-        condition = None if self.select is None else Expression.parse(self.select, known)
+        known = {*run.plan.fields, *METRICS, *run.suite.metrics, "status", "reason"}
+        found = _selected_cells(run, self.select, known)
         by = (self.sort or "").removeprefix("-")
         wanted = [*filter(None, [by]), *self.show]
         for name in wanted:
             if name not in known:
                 raise unknown_name("field of the cells", name, known)
-        open_row = {"status": OPEN, "reason": "has not run yet"}
-        merged = (
-            {**open_row, **rows.get(cell.id, {}), **fields(cell), "labels": cell.first_fields}
-            for cell in plan.cells
-        )
-        found = [cell for cell in merged if condition is None or condition.holds(cell)]
         if self.sample is not None:
-            # The smallest hashes: the same cells on every machine, whatever else is selected.
-            every = (cell["id"] for cell in found)
-            order = sorted(every, key=lambda one: hashlib.sha256(one.encode()).digest())
-            drawn = {*order[: self.sample]}
-            found = [cell for cell in found if cell["id"] in drawn]
+            found = _drawn_cells(found, self.sample)
         if by:
             found = _sorted(found, by, is_falling=str(self.sort).startswith("-"))
         if self.repeats:
-            ids = [cell["id"] for cell in found if cell["status"] != OPEN]
-            texts = repeat_difference(run, ids, self.repeats)
-            repeated = (cell for cell in found if cell["id"] in texts)
-            found = [{**cell, _LAST_BITS: texts[cell["id"]]} for cell in repeated]
-            # Stable: cells with another answer first, each part in the order asked for.
-            found.sort(key=lambda cell: cell[_LAST_BITS] == SAME)
+            found = _repeated_cells(run, found, self.repeats)
             wanted.append(_LAST_BITS)
         columns = _columns(found, ["torque_error", *wanted])
         listed = [
@@ -115,7 +97,7 @@ class Cells(Request["CellsResult"]):
             }
             for cell in found
         ]
-        return CellsResult(str(run.path), len(plan.cells), columns, listed)
+        return CellsResult(str(run.path), len(run.plan.cells), columns, listed)
 
     def exit_code(self, result: "CellsResult") -> int:
         return OK if result.cells else NOTHING
@@ -189,6 +171,43 @@ def _cell_text(value: Any) -> str:
 def _value(cell: Mapping[str, Any], name: str) -> Any:
     """Label of a cell, else field of its row."""
     return cell["labels"].get(name, cell.get(name))
+
+
+def _selected_cells(
+    run: "RunFolder", select: str | None, known: Collection[str]
+) -> list[dict[str, Any]]:
+    """Rows of the planned cells that meet the condition, with their fields and `labels`; a cell
+    without a row is `OPEN`."""
+    from sysid_bench.harness.cell import fields
+    from sysid_bench.harness.suite.expression import Expression
+
+    rows = run.rows().rows
+    condition = None if select is None else Expression.parse(select, known)
+    open_row = {"status": OPEN, "reason": "has not run yet"}
+    merged = (
+        {**open_row, **rows.get(cell.id, {}), **fields(cell), "labels": cell.first_fields}
+        for cell in run.plan.cells
+    )
+    return [cell for cell in merged if condition is None or condition.holds(cell)]
+
+
+def _drawn_cells(cells: Sequence[dict[str, Any]], count: int) -> list[dict[str, Any]]:
+    # The smallest hashes: the same cells on every machine, whatever else is selected.
+    every = (cell["id"] for cell in cells)
+    order = sorted(every, key=lambda one: hashlib.sha256(one.encode()).digest())
+    drawn = {*order[:count]}
+    return [cell for cell in cells if cell["id"] in drawn]
+
+
+def _repeated_cells(
+    run: "RunFolder", cells: Sequence[dict[str, Any]], repeats: int
+) -> list[dict[str, Any]]:
+    """Cells that have run, with what other last bits of their data change."""
+    ids = [cell["id"] for cell in cells if cell["status"] != OPEN]
+    texts = repeat_difference(run, ids, repeats)
+    found = [{**cell, _LAST_BITS: texts[cell["id"]]} for cell in cells if cell["id"] in texts]
+    # Stable: cells with another answer first, each part in the order asked for.
+    return sorted(found, key=lambda cell: cell[_LAST_BITS] == SAME)
 
 
 def _sorted(cells: Sequence[dict[str, Any]], by: str, *, is_falling: bool) -> list[dict[str, Any]]:

@@ -78,7 +78,6 @@ class RecordedResult(IdentifyResult):
 
     def summary(self) -> str:
         """Errors and terms of the joints, base parameters, payload, model files, warnings."""
-        test = next(iter(self.tests.values()), None)
         seconds = sum(log["seconds"] for log in self.logs if log["use"] == "train")
         reason, spreads = self.prior["reason"], self.prior["spreads"]
         lines = [
@@ -99,20 +98,23 @@ class RecordedResult(IdentifyResult):
                 f"  chosen on {self.selection['left_out']}: {names} (mean error there "
                 f"{before:.1f} -> {after:.1f} %)"
             )
-        lines.append("  joint                  RMS     train" + ("          test" if test else ""))
-        for joint, train in self.training.items():
-            line = f"  {joint:18} {train['rms']:8.4g}  {_error_text(train)}"
-            lines.append(line + (f"  {_error_text(test[joint])}" if test else ""))
-        lines += [
-            f"  {label}: {', '.join(_error_text(joint).strip() for joint in errors.values())}"
-            for label, errors in list(self.tests.items())[1:]
-        ]
+        lines += self._error_lines()
         lines += [joint_line(name, terms) for name, terms in self.joints.items()]
         lines += [*base_lines(self.base), *std_lines(self.std_from, self.std_limit)]
         lines += _payload_lines(self.payload) if self.payload else ()
         lines += _constraint_lines(self.constraints) if self.constraints else ()
         lines += _written_lines(self.written) if self.written else ()
         return "\n".join(lines + self._closing_lines())
+
+    def _error_lines(self) -> Iterator[str]:
+        """A line for each joint, with its error on the first test, and one for each other test."""
+        test = next(iter(self.tests.values()), None)
+        yield "  joint                  RMS     train" + ("          test" if test else "")
+        for joint, train in self.training.items():
+            line = f"  {joint:18} {train['rms']:8.4g}  {_error_text(train)}"
+            yield line + (f"  {_error_text(test[joint])}" if test else "")
+        for label, errors in list(self.tests.items())[1:]:
+            yield f"  {label}: {', '.join(_error_text(joint).strip() for joint in errors.values())}"
 
 
 # --- The cell -----------------------------------------------------------------------------------

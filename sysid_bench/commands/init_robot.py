@@ -261,7 +261,6 @@ def init_robot(
     out are those of bars of water from joint to joint. Raises UsageError for a table that
     cannot be read or a folder that already holds a robot, ModelError for an impossible robot.
     """
-    from sysid_bench.input_files import is_file
     from sysid_bench.models.dh_robot import mjcf_of
     from sysid_bench.models.dh_table import read_table
 
@@ -281,24 +280,33 @@ def init_robot(
         gravity=_three_numbers(gravity, "gravity"),
         massless=massless,
     )
+    files = _write_model(Path(robot_name if out is None else out), robot_name, text, source)
+    conventions = {"convention": f'"{convention}"', "frames": f'"{frames}"'}
+    if any(turned):
+        conventions["base"] = f"[{', '.join(f'{x:.17g}' for x in turned)}]"
     links = [row for row in rows.rows if row.kind != "F"]
-    folder = Path(robot_name if out is None else out)
-    files = [folder / "robot.toml", folder / f"{robot_name}.xml", folder / "dh.csv"]
+    manifest = _table_manifest(robot_name, conventions, massless, links)
+    files[0].write_text(manifest, encoding="utf-8")
+    invented = [f"link{row.link}" for row in links if row.mass is None and row.link not in massless]
+    warnings = [f"masses made up: {', '.join(invented)}"] if invented else []
+    return _result(robot_name, files, warnings)
+
+
+def _write_model(folder: Path, name: str, text: str, table: Path) -> list[Path]:
+    """Write the MJCF and the copy of the table to a folder without a robot; return the files of
+    this one, its manifest first."""
+    from sysid_bench.input_files import is_file
+
+    files = [folder / "robot.toml", folder / f"{name}.xml", folder / "dh.csv"]
     manifest, model_file, copy = files
     if is_file(manifest):
         raise UsageError(f"{str(folder)!r} already holds a robot; name another folder with -o.")
     folder.mkdir(parents=True, exist_ok=True)
     model_file.write_text(text, encoding="utf-8")
     # The table may already lie in the folder: copying a file onto itself is an error.
-    if source.resolve() != copy.resolve():
-        shutil.copyfile(source, copy)
-    conventions = {"convention": f'"{convention}"', "frames": f'"{frames}"'}
-    if any(turned):
-        conventions["base"] = f"[{', '.join(f'{x:.17g}' for x in turned)}]"
-    manifest.write_text(_table_manifest(robot_name, conventions, massless, links), encoding="utf-8")
-    invented = [f"link{row.link}" for row in links if row.mass is None and row.link not in massless]
-    warnings = [f"masses made up: {', '.join(invented)}"] if invented else []
-    return _result(robot_name, files, warnings)
+    if table.resolve() != copy.resolve():
+        shutil.copyfile(table, copy)
+    return files
 
 
 def _three_numbers(given: Sequence[float] | str, option: str) -> tuple[float, ...]:

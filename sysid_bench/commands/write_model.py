@@ -34,9 +34,7 @@ def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path |
             f"{str(model)!r} cannot hold {robot.manifest.path.name}, which is written back in its "
             f"own format: name it *{suffixes[0]}."
         )
-    for target in (model, answer):
-        if target is None:
-            continue
+    for target in filter(None, (model, answer)):
         if is_file(target) and any(_is_same(target, source) for source in sources):
             raise UsageError(f"{str(target)!r} is the model itself; name another file.")
         if not is_folder(target.parent):

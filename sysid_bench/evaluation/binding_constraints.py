@@ -36,6 +36,16 @@ def binding_errors(problem: Problem, tests: Mapping[str, Problem]) -> list[dict[
     theta = identify(LMI(), problem).theta
     if theta is None:
         return None
+    with_all, costs = error_of(theta), []
+    for name, members in _left_out(problem, theta):
+        error = error_of(identify(LMI(), problem_without(problem, *members)).theta)
+        if error is not None and with_all is not None:
+            costs.append({"constraint": name, "cost": with_all - error})
+    return sorted(costs, key=lambda cost: (cost["constraint"] in GROUPS, -cost["cost"]))
+
+
+def _left_out(problem: Problem, theta: Array) -> list[tuple[str, list[str]]]:
+    """Name and members of what is left out: groups of several constraints, then each one."""
     binding = binding_constraints(problem, theta)
     bodies = {body.name for body in problem.bodies}
     of_bodies = [name for name in binding if name in bodies]
@@ -43,10 +53,4 @@ def binding_errors(problem: Problem, tests: Mapping[str, Problem]) -> list[dict[
     # Left out singly a constraint may cost nothing where a neighbour holds the same base parameter.
     groups = zip(GROUPS, (of_bodies, of_terms), strict=True)
     left_out = [(name, members) for name, members in groups if len(members) > 1]
-    left_out += [(name, [name]) for name in binding[:TRIED]]
-    with_all, costs = error_of(theta), []
-    for name, members in left_out:
-        error = error_of(identify(LMI(), problem_without(problem, *members)).theta)
-        if error is not None and with_all is not None:
-            costs.append({"constraint": name, "cost": with_all - error})
-    return sorted(costs, key=lambda cost: (cost["constraint"] in GROUPS, -cost["cost"]))
+    return left_out + [(name, [name]) for name in binding[:TRIED]]

@@ -48,14 +48,19 @@ def find_help(name: str, group: click.Group) -> HelpText:
     # The quick pages first; those that import plug-ins only where no other has the name.
     for names in ([one for one in titles if one not in costly], costly):
         known += [entry for one in names for entry in find_page(one, group).entries(one)]
-        whole = [entry for entry in known if entry.name_on_page == name]
-        found = whole or [entry for entry in known if name in entry.words]
+        found = _named_entries(known, name)
         if found:
-            # Sections before lines, whole names before last parts, else as on the pages.
-            found.sort(key=lambda entry: (not entry.is_section, entry.name != name))
             return HelpText(name, found[0].title, _text(found), tuple(found))
     words = {word for entry in known for word in entry.words[1:]}
     raise unknown_name("topic", name, {*titles, *words}, "All topics: sysid-bench help.")
+
+
+def _named_entries(known: list[Entry], name: str) -> list[Entry]:
+    """Entries of a whole name, else those that have it among their words."""
+    whole = [entry for entry in known if entry.name_on_page == name]
+    found = whole or [entry for entry in known if name in entry.words]
+    # Sections before lines, whole names before last parts, else as on the pages.
+    return sorted(found, key=lambda entry: (not entry.is_section, entry.name != name))
 
 
 @cache

@@ -114,13 +114,9 @@ def _values(annotation: Any, metadata: Any = ()) -> str:
     if _is_sweep(metadata):
         return " or ".join(filter(None, (_element(annotation), "a list: a sweep")))
     for check in metadata:
-        match getattr(check, "func", None):
-            case Quantity() as one:
-                return markdown_line(one.words)
-            case Choice() as one:
-                return ", ".join(map(code, one.words))
-            case MetricChoice() as one:
-                return one.kind
+        said = _said(getattr(check, "func", None))
+        if said is not None:
+            return said
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _values(parts[0], parts[1:])
@@ -133,6 +129,18 @@ def _values(annotation: Any, metadata: Any = ()) -> str:
         return f"list of {words}".removesuffix(" of ")
     is_model = isinstance(annotation, type) and issubclass(annotation, BaseModel)
     return "table" if is_model or origin in (dict, Mapping) else _WORDS.get(annotation, "")
+
+
+def _said(check: Any) -> str | None:
+    """What a check says of its values; None for one that says nothing."""
+    match check:
+        case Quantity():
+            return markdown_line(check.words)
+        case Choice():
+            return ", ".join(map(code, check.words))
+        case MetricChoice():
+            return check.kind
+    return None
 
 
 def _element(annotation: Any) -> str:

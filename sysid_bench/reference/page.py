@@ -121,10 +121,7 @@ class Section:
         for section in self._sections():
             prefix = ""
             if not section.is_page:
-                # The first paragraph that is neither a table, a heading nor code.
-                words = [part.strip("\n") for part in _FENCED.sub("", section.text).split("\n\n")]
-                plain = (one for one in words if one and not one.startswith(("| ", "#", "    ")))
-                title = _title(next(plain, ""))
+                title = _title(section._first_paragraph())
                 found.append(Entry(page, section.name, title, section.text, is_section=True))
                 # The lines of a section whose heading is words have their own names alone.
                 prefix = f"{section.name}." if "`" in section.heading else ""
@@ -139,6 +136,12 @@ class Section:
         words = self.heading.lstrip("# ")
         coded = _CODED.fullmatch(words)
         return coded[1].strip("[]") if coded else words.lower().replace(" ", "-")
+
+    def _first_paragraph(self) -> str:
+        """The first paragraph that is neither a table, a heading nor code."""
+        words = [part.strip("\n") for part in _FENCED.sub("", self.text).split("\n\n")]
+        plain = (one for one in words if one and not one.startswith(("| ", "#", "    ")))
+        return next(plain, "")
 
     def _sections(self) -> "Iterator[Section]":
         yield self

@@ -64,27 +64,34 @@ def effect_notes(entries: Entries, fields: tuple[Key, Key]) -> Iterator[str]:
     whose values are complete and positive."""
     every_row = list(dict.fromkeys(row for row, _ in entries))
     columns = list(dict.fromkeys(column for _, column in entries))
-    sizes = {key: entry.value or 0.0 for key, entry in entries.items()}
-    rows = [row for row in every_row if all(sizes.get((row, one), 0.0) > 0 for one in columns)]
+    rows = [row for row in every_row if _is_positive(entries, row, columns)]
     if len(rows) < 2 or len(columns) < 2:
         yield "Main effects need two rows and two columns with positive numbers throughout."
         return
     values = np.array([[entries[row, column].value for column in columns] for row in rows], float)
     found, (of_rows, of_columns) = main_effects(values), map(" / ".join, fields)
     shares = zip((of_rows, of_columns, "both together"), found.shares, strict=True)
-    by_rows, by_columns = (
-        ", ".join(f"{' / '.join(key)} {ratio:.3g}" for key, ratio in zip(*pairs, strict=True))
-        for pairs in ((rows, found.rows), (columns, found.columns))
-    )
     yield (
         "Main effects, as ratios to the geometric mean of the entries: "
-        f"{of_rows}: {by_rows}; {of_columns}: {by_columns}."
+        f"{of_rows}: {_ratio_text(rows, found.rows)}; "
+        f"{of_columns}: {_ratio_text(columns, found.columns)}."
     )
     listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
     yield f"Share of the variance of the logarithms: {listed}."
     left_out = [" / ".join(row) for row in every_row if row not in rows]
     if left_out:
         yield f"Without an effect, for want of numbers: {', '.join(dict.fromkeys(left_out))}."
+
+
+def _is_positive(entries: Entries, row: Key, columns: Iterable[Key]) -> bool:
+    """True where the row has a positive number in each column."""
+    found = (entries.get((row, column)) for column in columns)
+    return all(entry is not None and (entry.value or 0.0) > 0 for entry in found)
+
+
+def _ratio_text(keys: Iterable[Key], ratios: np.ndarray) -> str:
+    pairs = zip(keys, ratios, strict=True)
+    return ", ".join(f"{' / '.join(key)} {ratio:.3g}" for key, ratio in pairs)
 
 
 _Position = tuple[Key, Key]
@@ -146,11 +153,7 @@ OF_PLANTS: Final = ("simulation", "noise", "pipeline")
 
 def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) -> Iterator[str]:
     """Sentences below a table."""
-    # Fields that differ between the cells of an entry: its statistic compares unlike settings.
-    # Settings that plants bring along are not counted beside the plants.
-    swept = [field for field in SWEEPABLE if field in cells.columns and field not in layout.fields]
-    counts = {field: _pooled_values(cells, field, layout) for field in swept}
-    pooled = [f"{count} of {field}" for field, count in counts.items() if count > 1]
+    pooled = _pooled_fields(cells, layout)
     if pooled:
         yield f"Each number pools different settings: {', '.join(pooled)}."
     # Rows whose plant is integrated as the models of methods that simulate are.
@@ -162,24 +165,21 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
         )
     for metric in layout.metrics:
         yield from _names(cells, layout, metric)
-        column = f"{REASONS}.{metric.name}"
-        if column in cells.columns:
-            given = cells.loc[~cells[column].isin(["", "none"]), column].value_counts()
-            yield from (
-                f"{metric.title}: {n} cells without a value: {why}." for why, n in given.items()
-            )
-    # Metrics of all repeats are missing where there are too few of them.
-    needs = set[str]().union(
-        *(metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
-    )
-    if needs and any(entry.missing for entry in entries.values() if entry.value is None):
-        bound = ", or no noise of the torque and so no bound" if "noise" in needs else ""
-        yield f"{ABSENT}: fewer than {REPEATS.fewest} repeats, no noise at all{bound}."
+        yield from _reasons(cells, metric)
+    yield from _missing_repeats(layout, entries)
     # Contents and limits of the intervals of each kind.
     kinds = cells[STD_FROM].unique() if STD_FROM in layout.fields else ()
     yield from (f"{kind}: {INTERVAL_LIMITS[kind]}." for kind in kinds if kind in INTERVAL_LIMITS)
     if layout.effects:
         yield from effect_notes(dict(entries), (layout.rows, layout.columns))
+
+
+def _pooled_fields(cells: "pd.DataFrame", layout: TableLayout) -> list[str]:
+    """Fields that differ between the cells of an entry, "COUNT of FIELD": its statistic compares
+    unlike settings. Settings that plants bring along are not counted beside the plants."""
+    swept = [field for field in SWEEPABLE if field in cells.columns and field not in layout.fields]
+    counts = {field: _pooled_values(cells, field, layout) for field in swept}
+    return [f"{count} of {field}" for field, count in counts.items() if count > 1]
 
 
 def _pooled_values(cells: "pd.DataFrame", field: str, layout: TableLayout) -> int:
@@ -200,6 +200,25 @@ def _names(cells: "pd.DataFrame", layout: TableLayout, metric: Metric) -> list[s
     named = cells[~cells[column].isin(["", "none"])].to_dict("records")
     rows = ((" / ".join(str(row[field]) for field in layout.fields), row[column]) for row in named)
     return sorted({f"{place}: {metric.title.lower()}: {names}." for place, names in rows})
+
+
+def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
+    """Why cells have no value, with the number of cells of each reason."""
+    column = f"{REASONS}.{metric.name}"
+    if column in cells.columns:
+        given = cells.loc[~cells[column].isin(["", "none"]), column].value_counts()
+        for why, n in given.items():
+            yield f"{metric.title}: {n} cells without a value: {why}."
+
+
+def _missing_repeats(layout: TableLayout, entries: Entries) -> Iterator[str]:
+    """Why metrics of all repeats are missing: there are too few of them."""
+    needs = set[str]().union(
+        *(metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
+    )
+    if needs and any(entry.missing for entry in entries.values() if entry.value is None):
+        bound = ", or no noise of the torque and so no bound" if "noise" in needs else ""
+        yield f"{ABSENT}: fewer than {REPEATS.fewest} repeats, no noise at all{bound}."
 
 
 def build_table(

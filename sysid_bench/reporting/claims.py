@@ -262,14 +262,7 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
     one_robot = "cells do not replicate each other: one robot may have all of them"
     figure = found.without_interval(one_robot) if claim["over"] == "cell" else found
     verdict = claim_verdict(figure, ClaimInterval.of(claim["direction"], claim["threshold"]))
-    # Why it stays open although its figure may be on one side.
-    reason = "the interval straddles the threshold" if verdict == "open" else ""
-    if figure.low is None:
-        counted = count_text(figure.count, claim["over"])
-        reason = f"{counted}: no interval{figure.reason and f' ({figure.reason})'}"
-    # A claim on the cells that answered says nothing of those that did not.
-    elif verdict == "holds" and values.lost > MOST_LOST * values.cells:
-        reason = f"{values.lost} of {values.cells} cells have no answer"
+    reason = _open_reason(figure, verdict, values, claim["over"])
     # Of a claim without a level its plants; recordings have none.
     plants = [name for name in dict.fromkeys(map(label, of["plant"])) if name != "none"]
     return ClaimFinding(
@@ -278,6 +271,17 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
         reason=reason, value=figure.value, low=figure.low, high=figure.high, count=figure.count,
         cells=values.cells, lost=values.lost,
     )  # fmt: skip
+
+
+def _open_reason(figure: ClaimFigure, verdict: Verdict, values: ClaimValues, over: str) -> str:
+    """Why a claim stays open although its figure may be on one side; empty where it does not."""
+    if figure.low is None:
+        counted = count_text(figure.count, over)
+        return f"{counted}: no interval{figure.reason and f' ({figure.reason})'}"
+    # A claim on the cells that answered says nothing of those that did not.
+    if verdict == "holds" and values.lost > MOST_LOST * values.cells:
+        return f"{values.lost} of {values.cells} cells have no answer"
+    return "the interval straddles the threshold" if verdict == "open" else ""
 
 
 def _kind(claim: Mapping[str, Any], rows: ClaimRows) -> str:

@@ -289,7 +289,6 @@ def cells_to_json(
     words["reason"] = list(map(_reason, cells.get("reason", [None] * len(cells))))
     # A word is stored once: thousands of cells repeat few robots, payloads and estimators.
     dictionary = [list(dict.fromkeys(texts)) for texts in words.values()]
-    shown = [one for one in metrics.values() if one.shown and one.name in cells.columns]
     ids = list(map(str, cells["id"]))
     return {
         "ids": ids,
@@ -300,14 +299,21 @@ def cells_to_json(
             name in ("status", "reason") or (name in _SHOWN and len(texts) > 1)
             for name, texts in zip(words, dictionary, strict=True)
         ],
+        **_metric_columns(cells, metrics),
+        "links": {i: quote(recordings[cell]) for i, cell in enumerate(ids) if cell in recordings},
+        "hasLinks": not set(recordings).isdisjoint(ids),
+        "count": len(ids),
+    }
+
+
+def _metric_columns(cells: "pd.DataFrame", metrics: Mapping[str, Metric]) -> dict[str, Any]:
+    shown = [one for one in metrics.values() if one.shown and one.name in cells.columns]
+    return {
         "scores": [metric.name for metric in shown],
         "titles": [with_level(metric.heading) for metric in shown],
         "values": [
             [_four_digits(metric.scale, value) for value in cells[metric.name]] for metric in shown
         ],
-        "links": {i: quote(recordings[cell]) for i, cell in enumerate(ids) if cell in recordings},
-        "hasLinks": not set(recordings).isdisjoint(ids),
-        "count": len(ids),
     }
 
 

@@ -156,9 +156,7 @@ class RecursiveEstimator:
         that are not `free` (N,) of contact are left out. Raises UsageError for invalid settings,
         EstimationError without samples.
         """
-        _check_forgetting(self.forgetting)
-        if self.walk < 0 or self.every < 1:
-            raise UsageError(f"{self} is invalid: walk must be 0 or more, every at least 1.")
+        self._check()
         G, g = W / sigma[:, None], f / sigma
         start, r, m = _factor_of(prior, std), len(prior), f.shape[1]
         used = np.ones(len(f), dtype=bool) if free is None else np.asarray(free, dtype=bool).copy()
@@ -168,8 +166,8 @@ class RecursiveEstimator:
         for k in range(len(f)):
             R = self._aged(R, start, beta)
             gap[k] = _innovation(R, G[k], g[k] - G[k] @ beta)
-            if self.reject is not None and k >= self.settled and not gap[k] <= self.reject:
-                used[k] = False  # looks like a contact, as NaN does
+            if self._looks_like_contact(k, gap[k]):
+                used[k] = False
             if used[k]:
                 R = qr_factor([R, np.column_stack([G[k], g[k]])])
                 beta = solve_factor(R)
@@ -185,6 +183,15 @@ class RecursiveEstimator:
         return ParameterCurves(
             np.array(indices), np.array(betas), np.array(stds), covariance(R), used, gap
         )
+
+    def _looks_like_contact(self, k: int, gap: float) -> bool:
+        """True for an innovation beyond the limit, or NaN, once the estimate has settled."""
+        return self.reject is not None and k >= self.settled and not gap <= self.reject
+
+    def _check(self) -> None:
+        _check_forgetting(self.forgetting)
+        if self.walk < 0 or self.every < 1:
+            raise UsageError(f"{self} is invalid: walk must be 0 or more, every at least 1.")
 
     def _aged(self, R: Array, start: Array, beta: Array) -> Array:
         """[R | z] before the next sample. In the basis where it and the prior are both diagonal,

@@ -4,7 +4,7 @@ It uses the training data alone. The QR factors of each fold are computed once w
 columns; a subset of columns is a subset of the columns of these factors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -61,22 +61,30 @@ def select_columns(
     steps: list[tuple[int, float]] = []
     left = list(candidates)
     while left:
-        best: tuple[float, int, Array] | None = None
-        for rows, column in left:
-            after = _errors(folds, grams, [*current, column])
-            # Largest relative reduction of the error of a row that the column acts on.
-            gain = float(np.max(1.0 - after[list(rows)] / errors[list(rows)]))
-            # A column that serves one row and harms the others is none of the robot's.
-            improves = gain >= GAIN and _rms(after) < _rms(errors)
-            if improves and (best is None or gain > best[0]):
-                best = gain, column, after
+        tried = ((rows, column, _errors(folds, grams, [*current, column])) for rows, column in left)
+        best = _best_column(tried, errors)
         if best is None:
             break
-        _, added, errors = best
+        added, errors = best
         current.append(added)
         steps.append((added, _rms(errors)))
         left = [(rows, column) for rows, column in left if column != added]
     return ColumnSelection(tuple(sorted(current)), tuple(steps), before, _rms(errors))
+
+
+def _best_column(
+    tried: Iterable[tuple[Sequence[int], int, Array]], errors: Array
+) -> tuple[int, Array] | None:
+    """Column with the largest gain among (rows, column, errors with it), and these errors; None
+    where none improves on the `errors` so far."""
+    best, most = None, -np.inf
+    for rows, column, after in tried:
+        # Largest relative reduction of the error of a row that the column acts on.
+        gain = float(np.max(1.0 - after[list(rows)] / errors[list(rows)]))
+        # A column that serves one row and harms the others is none of the robot's.
+        if gain >= GAIN and _rms(after) < _rms(errors) and gain > most:
+            best, most = (column, after), gain
+    return best
 
 
 def _rms(errors: Array) -> float:
