@@ -61,8 +61,7 @@ def find_entry(name: str, robots_dir: Path | None = None) -> tuple[str, Entry]:
     plain_name, settings = source_settings(name)
     if not settings and (name.startswith(SCHEME) or is_dataset(name)):
         return ("dataset", _dataset(name.removeprefix(SCHEME)))
-    path = "/" in plain_name or plain_name.endswith((".urdf", ".xml"))
-    if path or is_model(plain_name) or plain_name in package_folders.robots(robots_dir):
+    if _is_robot(plain_name, robots_dir):
         return ("robot", _robot(name, robots_dir))
     if settings:
         raise UsageError(f"{plain_name!r} is no robot: only robots have {', '.join(settings)}.")
@@ -80,6 +79,12 @@ def find_entry(name: str, robots_dir: Path | None = None) -> tuple[str, Entry]:
         titles = {entry["name"]: entry["title"] for entry in entries_of_kind(name, robots_dir)}
         return ("kind", {"name": _plural(name)} | titles)
     raise unknown_name("name", name, names)
+
+
+def _is_robot(name: str, robots_dir: Path | None) -> bool:
+    """True for a model file, a model of a collection and a robot of a folder."""
+    is_path = "/" in name or name.endswith((".urdf", ".xml"))
+    return is_path or is_model(name) or name in package_folders.robots(robots_dir)
 
 
 # --- Plug-ins -----------------------------------------------------------------------------------

@@ -275,21 +275,25 @@ def repeat_difference(run: "RunFolder", ids: Sequence[str], repeats: int) -> dic
 def difference_text(answers: Sequence["Row"]) -> str:
     """Return the differences between answers to one problem beyond the condition of the data times
     the size of the changes, and beyond the tolerance of solvers; "same" without any."""
-    from sysid_bench.experiments.cell_data import SIZE
-
     ends = {name: _different(answers, name) for name in _ENDS}
     parts = [f"{name} {_either(values)}" for name, values in ends.items() if len(values) > 1]
     errors = [row["torque_error"] for row in answers if row.get("torque_error") is not None]
-    # A relative change of the data grows at most by the condition number in the answer.
-    condition = max((row.get("condition") or 1.0 for row in answers), default=1.0)
-    explained = max(_LEAST, _GROWTH * condition * SIZE)
-    limit = max(explained, _TOLERANCE * max(errors, default=0.0))
+    limit = max(_explained_change(answers), _TOLERANCE * max(errors, default=0.0))
     if errors and max(errors) - min(errors) > limit:
         parts.append(f"torque_error {min(errors):.7g} to {max(errors):.7g}")
     counts = _different(answers, "iterations")
     if parts and len(counts) > 1:
         parts.append(f"iterations {_either(counts)}")
     return "; ".join(parts) or SAME
+
+
+def _explained_change(answers: Sequence["Row"]) -> float:
+    """Change of the torque error, relative to the torque, that the condition explains."""
+    from sysid_bench.experiments.cell_data import SIZE
+
+    # A relative change of the data grows at most by the condition number in the answer.
+    condition = max((row.get("condition") or 1.0 for row in answers), default=1.0)
+    return max(_LEAST, _GROWTH * condition * SIZE)
 
 
 def _different(answers: Iterable[Mapping[str, Any]], name: str) -> list[Any]:

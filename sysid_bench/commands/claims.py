@@ -188,6 +188,16 @@ def _lines(folders: "tuple[RunFolder, ...]", kind: str) -> "pd.DataFrame":
     return pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
 
 
+def _listed(found: "ClaimFinding") -> tuple[str, ...]:
+    """Line of a finding in the table of claims."""
+    return (
+        found.name, found.level, found.verdict, found.statistic, value_text(found.value),
+        "-" if found.low is None else f"{found.low:.4g} to {found.high:.4g}", found.wanted,
+        count_text(found.count, found.over) if found.count else "-", str(found.cells),
+        str(found.lost), "yes" if found.gate else "", found.suite, found.reason,
+    )  # fmt: skip
+
+
 def _result(runs: list[str], findings: "Sequence[ClaimFinding]", command: str) -> ClaimsResult:
     from sysid_bench.evaluation.intervals import with_level
     from sysid_bench.evaluation.robot_statistic import Verdict
@@ -204,15 +214,7 @@ def _result(runs: list[str], findings: "Sequence[ClaimFinding]", command: str) -
         for found in findings
         if found.gate and found.verdict != "holds"
     ]
-    rows = tuple(
-        (
-            found.name, found.level, found.verdict, found.statistic, value_text(found.value),
-            "-" if found.low is None else f"{found.low:.4g} to {found.high:.4g}", found.wanted,
-            count_text(found.count, found.over) if found.count else "-", str(found.cells),
-            str(found.lost), "yes" if found.gate else "", found.suite, found.reason,
-        )
-        for found in findings
-    )  # fmt: skip
+    rows = tuple(map(_listed, findings))
     head, notes = tuple(map(with_level, _HEAD)), tuple(map(with_level, _NOTES))
     return ClaimsResult(
         runs=runs,

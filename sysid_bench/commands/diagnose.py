@@ -55,15 +55,7 @@ class DiagnoseRequest(Request["DiagnoseResult"]):
         from sysid_bench.reporting.html import write_findings_html
         from sysid_bench.signals.log_description import find_description
 
-        if not self.model or not self.logs:
-            raise UsageError(
-                "Which recording of which robot? Give both: sysid-bench diagnose run.toml --model "
-                "ur5."
-            )
-        for name in self.accept:
-            if name not in FINDINGS:
-                advice = "Give --accept the names to let pass."
-                raise unknown_name("finding", name, FINDINGS, advice)
+        self._check()
         manifest = find_manifest(self.model, self.robots_dir)
         inputs = [_input_of(manifest, find_description(log)) for log in self.logs]
         found = [_findings(one, self.accept) for one in inputs]
@@ -87,6 +79,17 @@ class DiagnoseRequest(Request["DiagnoseResult"]):
         if self.json_out is not None:
             result.write_json(self.json_out)
         return result
+
+    def _check(self) -> None:
+        if not self.model or not self.logs:
+            raise UsageError(
+                "Which recording of which robot? Give both: sysid-bench diagnose run.toml --model "
+                "ur5."
+            )
+        for name in self.accept:
+            if name not in FINDINGS:
+                advice = "Give --accept the names to let pass."
+                raise unknown_name("finding", name, FINDINGS, advice)
 
     def exit_code(self, result: "DiagnoseResult") -> int:
         return OK if result.ok else FAILED

@@ -42,7 +42,7 @@ from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
-from sysid_bench.types import Estimate
+from sysid_bench.types import Array, Estimate
 
 ESTIMATOR: Final = "wls"
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
@@ -158,16 +158,20 @@ def identify_recorded(request: Identify) -> RecordedResult:
     warnings = [*fields.pop("warnings"), *_warnings(prepared, estimate, fields), *contradictions]
     result = RecordedResult(**fields, warnings=list(dict.fromkeys(warnings)))
     if figure is not None:
-        # Measured and predicted torque of the first test log, or of the training one.
-        found = predict_log(prepared, estimate.beta)
-        units = tuple(kind.removeprefix("joint ") for kind in found.problem.kinds)
-        rows = tuple(found.problem.rows)
-        torque_figure.write(
-            figure, StoredTorque("", found.t, found.measured, found.predicted, rows, units)
-        )
+        _write_figure(figure, prepared, estimate.beta)
     if model_out is not None:
         result = _with_model(result, request, prepared, estimate, model_out)
     return result
+
+
+def _write_figure(figure: Path, prepared: ExperimentData[RecordedSource], beta: Array) -> None:
+    """Measured and predicted torque of the first test log, or of the training one."""
+    found = predict_log(prepared, beta)
+    units = tuple(kind.removeprefix("joint ") for kind in found.problem.kinds)
+    rows = tuple(found.problem.rows)
+    torque_figure.write(
+        figure, StoredTorque("", found.t, found.measured, found.predicted, rows, units)
+    )
 
 
 def _specification(

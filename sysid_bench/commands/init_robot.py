@@ -177,15 +177,7 @@ def _doubts(robot: "RobotModel", path: Path) -> Iterator[str]:
 
     from sysid_bench.models.model_checks import placeholder_reason
 
-    limits = zip(robot.rows, robot.limits.tau, strict=True)
-    without = [row for row, limit in limits if not 0 < limit < np.inf]
-    if without:
-        zero = 'effort="0' in _text_of(path)
-        reason = 'effort="0" stands for an absent limit; ' if zero else ""
-        yield (
-            f"no torque limit of {first_names(without)}: {reason}give [limits.JOINT] tau = ... for "
-            "motions to keep"
-        )
+    yield from _torque_limit_doubts(robot, path)
     # Units: models in g, mm or degrees load without any error.
     mass = float(robot.mj.body_mass.sum())
     if not _LIGHTEST < mass < _HEAVIEST:
@@ -201,6 +193,20 @@ def _doubts(robot: "RobotModel", path: Path) -> Iterator[str]:
     placeholders = placeholder_reason(robot)
     if placeholders:
         yield f"its inertias are placeholders, on which no prior is built: {placeholders}"
+
+
+def _torque_limit_doubts(robot: "RobotModel", path: Path) -> Iterator[str]:
+    import numpy as np
+
+    limits = zip(robot.rows, robot.limits.tau, strict=True)
+    without = [row for row, limit in limits if not 0 < limit < np.inf]
+    if without:
+        zero = 'effort="0' in _text_of(path)
+        reason = 'effort="0" stands for an absent limit; ' if zero else ""
+        yield (
+            f"no torque limit of {first_names(without)}: {reason}give [limits.JOINT] tau = ... for "
+            "motions to keep"
+        )
 
 
 def _text(

@@ -178,9 +178,19 @@ def _terms_by_joint(
             found[joint].setdefault("viscous_coupling", {})[other] = value
         else:
             found[joint][TERM_OF[word]] = value
+    _check_passive(found)
+    for joint, values in found.items():
+        if values["spring"]:  # its rest position is known
+            place = robot.rows.index(joint)
+            values["spring_reference"] = float(robot.joint_terms.spring_reference[place])
+    return {joint: JointTerms(**values) for joint, values in found.items()}, left_out
+
+
+def _check_passive(terms: Mapping[str, Mapping[str, Any]]) -> None:
+    """Raise ModelError for terms of joints that would supply energy."""
     wrong = [
         f"{joint}.{term} ({values[term]:.3g})"
-        for joint, values in found.items()
+        for joint, values in terms.items()
         for term in PASSIVE
         if values[term] < 0
     ]
@@ -189,11 +199,6 @@ def _terms_by_joint(
             f"Not written: {first_names(wrong)} must not be negative; let the fit constrain joint "
             "terms as well (--feasible terms)."
         )
-    for joint, values in found.items():
-        if values["spring"]:  # its rest position is known
-            place = robot.rows.index(joint)
-            values["spring_reference"] = float(robot.joint_terms.spring_reference[place])
-    return {joint: JointTerms(**values) for joint, values in found.items()}, left_out
 
 
 def _in_file(robot: RobotModel, terms: Mapping[str, JointTerms]) -> dict[str, dict[str, float]]:
@@ -228,11 +233,7 @@ def _judged(
     check = crosscheck(load_robot(written))
     if not check.ok():
         raise ModelError(f"{file}, the written model: {check.reason_text()}")
-    # Parameters (p,) of a problem as a model has them; zero for those that no file holds.
-    values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
-    terms = tuple(x for x in problem.parameters if x not in values and _is_term(robot, x))
-    values |= dict(zip(terms, robot.term_values(terms), strict=True))
-    beta = problem.base.K @ np.array([values.get(name, 0.0) for name in problem.parameters])
+    beta = problem.base.K @ _stated_parameters(robot, problem)
     tests, names = list(prepared.held_out.values()), robot.body_names
     error, own = (RowErrors(tests or [problem], x).torque_error for x in (beta, estimated))
 
@@ -254,6 +255,14 @@ def _judged(
         tests={label: relative(test) for label, test in prepared.held_out.items()},
         training=relative(problem),
     )
+
+
+def _stated_parameters(robot: RobotModel, problem: Problem) -> Array:
+    """Parameters (p,) of a problem as a model has them; zero for those that no file holds."""
+    values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
+    terms = tuple(x for x in problem.parameters if x not in values and _is_term(robot, x))
+    values |= dict(zip(terms, robot.term_values(terms), strict=True))
+    return np.array([values.get(name, 0.0) for name in problem.parameters])
 
 
 def _is_term(robot: RobotModel, name: str) -> bool:

@@ -1,6 +1,6 @@
 """Certificate of a force/torque sensor as JSON fields and as text."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
@@ -58,9 +58,13 @@ def certificate_lines(fields: Mapping[str, Any]) -> Iterator[str]:
             )
     for name in fields["partial"]:
         yield f"    not predictable: {name}, which also moves joints proximal to the sensor"
-    # The torques to add, and the further sensor that makes most torques predictable.
-    torques = [entry for entry in fields["additions"] if entry["kind"] == "torque"]
-    sensors = [entry for entry in fields["additions"] if entry["kind"] == "sensor"]
+    yield from _addition_lines(fields["additions"])
+
+
+def _addition_lines(additions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """The torques to add, and the further sensor that makes most torques predictable."""
+    torques = [entry for entry in additions if entry["kind"] == "torque"]
+    sensors = [entry for entry in additions if entry["kind"] == "sensor"]
     for entry in [*torques, *sorted(sensors, key=lambda entry: -len(entry["predicts"]))[:1]]:
         what = "the torque of" if entry["kind"] == "torque" else "a sensor at"
         yield (

@@ -120,11 +120,14 @@ def _click_type(annotation: Any, spec: Option) -> click.ParamType[Any]:
     if spec.unit is not None or spec.parse is not None:
         return click.STRING
     if kinds & {int, float}:
-        whole = float not in kinds
-        if spec.least is None:
-            return click.INT if whole else click.FLOAT
-        return click.IntRange(min=int(spec.least)) if whole else click.FloatRange(min=spec.least)
+        return _number_type(float not in kinds, spec.least)
     return click.STRING
+
+
+def _number_type(whole: bool, least: float | None) -> click.ParamType[Any]:
+    if least is None:
+        return click.INT if whole else click.FLOAT
+    return click.IntRange(min=int(least)) if whole else click.FloatRange(min=least)
 
 
 class _Option(click.Option):

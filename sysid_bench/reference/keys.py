@@ -113,10 +113,9 @@ def _values(annotation: Any, metadata: Any = ()) -> str:
     """What a key takes, as Markdown: what checks it says, else its type."""
     if _is_sweep(metadata):
         return " or ".join(filter(None, (_element(annotation), "a list: a sweep")))
-    for check in metadata:
-        said = _said(getattr(check, "func", None))
-        if said is not None:
-            return said
+    said = _said(metadata)
+    if said is not None:
+        return said
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _values(parts[0], parts[1:])
@@ -131,15 +130,16 @@ def _values(annotation: Any, metadata: Any = ()) -> str:
     return "table" if is_model or origin in (dict, Mapping) else _WORDS.get(annotation, "")
 
 
-def _said(check: Any) -> str | None:
-    """What a check says of its values; None for one that says nothing."""
-    match check:
-        case Quantity():
-            return markdown_line(check.words)
-        case Choice():
-            return ", ".join(map(code, check.words))
-        case MetricChoice():
-            return check.kind
+def _said(metadata: Any) -> str | None:
+    """What the first check that knows its values says of them; None where none does."""
+    for check in metadata:
+        match getattr(check, "func", None):
+            case Quantity() as one:
+                return markdown_line(one.words)
+            case Choice() as one:
+                return ", ".join(map(code, one.words))
+            case MetricChoice() as one:
+                return one.kind
     return None
 
 

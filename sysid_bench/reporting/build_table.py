@@ -64,7 +64,7 @@ def effect_notes(entries: Entries, fields: tuple[Key, Key]) -> Iterator[str]:
     whose values are complete and positive."""
     every_row = list(dict.fromkeys(row for row, _ in entries))
     columns = list(dict.fromkeys(column for _, column in entries))
-    rows = [row for row in every_row if _is_positive(entries, row, columns)]
+    rows = _positive_rows(entries, every_row, columns)
     if len(rows) < 2 or len(columns) < 2:
         yield "Main effects need two rows and two columns with positive numbers throughout."
         return
@@ -83,10 +83,10 @@ def effect_notes(entries: Entries, fields: tuple[Key, Key]) -> Iterator[str]:
         yield f"Without an effect, for want of numbers: {', '.join(dict.fromkeys(left_out))}."
 
 
-def _is_positive(entries: Entries, row: Key, columns: Iterable[Key]) -> bool:
-    """True where the row has a positive number in each column."""
-    found = (entries.get((row, column)) for column in columns)
-    return all(entry is not None and (entry.value or 0.0) > 0 for entry in found)
+def _positive_rows(entries: Entries, rows: list[Key], columns: list[Key]) -> list[Key]:
+    """Rows with a positive number in each column."""
+    sizes = {key: entry.value or 0.0 for key, entry in entries.items()}
+    return [row for row in rows if all(sizes.get((row, one), 0.0) > 0 for one in columns)]
 
 
 def _ratio_text(keys: Iterable[Key], ratios: np.ndarray) -> str:

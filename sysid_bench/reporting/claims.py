@@ -164,13 +164,19 @@ def _case_fields(own: pd.DataFrame, against: pd.DataFrame, named: Compared) -> l
     """Labels that a pair shares: all but those that both selections name and have no value of in
     common, and those that follow from these."""
     there = [name for name in _CASE if name in own and name in against]
-    of_own, of_others = ({name.partition(".")[0] for name in names} for names in named)
-    both = [name for name in there if name in of_own & of_others]
+    named_by_both = _fields_of_both(named)
+    both = [name for name in there if name in named_by_both]
     compared = {
         name for name in both if set(map(label, own[name])).isdisjoint(map(label, against[name]))
     }
     compared.update(*(_ALONG.get(name, ()) for name in compared))
     return [name for name in there if name not in compared]
+
+
+def _fields_of_both(named: Compared) -> set[str]:
+    """Fields that both selections name, without what stands behind a dot."""
+    of_own, of_others = ({name.partition(".")[0] for name in names} for names in named)
+    return of_own & of_others
 
 
 def _mean_by_robot(values: ClaimValues, numbers: Array) -> Array:

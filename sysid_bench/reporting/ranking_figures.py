@@ -11,6 +11,7 @@ from sysid_bench.reporting.selection import label
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -117,13 +118,7 @@ def cost_figure(ranking: Ranking, cells: "pd.DataFrame", width: float = WIDTH) -
             axes.plot([point.seconds] * 2, point.interval, color=colour, linewidth=0.6)
         axes.plot([point.seconds], [point.ratio], marker, color=colour, markeredgewidth=0,
                   label=name)  # fmt: skip
-    axes.set_xscale("log")
-    ratios, seconds = [point.ratio for point in points], [point.seconds for point in points]
-    axes.set_yscale("log" if max(ratios) > _WIDE * min(ratios) else "linear")
-    axes.minorticks_off()
-    if max(seconds) < _FEW * min(seconds):
-        ticks = {f"{tick:.2g}": tick for tick in _time_ticks(seconds)}
-        axes.set_xticks(list(ticks.values()), list(ticks))
+    _set_scales(axes, [point.ratio for point in points], [point.seconds for point in points])
     axes.set_xlabel("CPU time of an answer (s), median")
     axes.set_ylabel(plain(f"Error, times {ranking.against}"))
     axes.grid(which="major", color="#dddddd", linewidth=0.4)
@@ -131,6 +126,15 @@ def cost_figure(ranking: Ranking, cells: "pd.DataFrame", width: float = WIDTH) -
     axes.spines[["top", "right"]].set_visible(False)
     drawing.legend(loc="outside right upper", frameon=False, handletextpad=0.2, borderaxespad=0.2)
     return drawing
+
+
+def _set_scales(axes: "Axes", ratios: Sequence[float], seconds: Sequence[float]) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log" if max(ratios) > _WIDE * min(ratios) else "linear")
+    axes.minorticks_off()
+    if max(seconds) < _FEW * min(seconds):
+        ticks = {f"{tick:.2g}": tick for tick in _time_ticks(seconds)}
+        axes.set_xticks(list(ticks.values()), list(ticks))
 
 
 def _time_ticks(seconds: Sequence[float]) -> list[float]:

@@ -60,6 +60,7 @@ _SETTINGS: Final = (
     ("Held-out motions", "held_out"),
 )  # fmt: skip
 _PLANTS: Final = {"matched": " (the robot with exactly the terms of its model)"}
+_NOISE_FREE: Final = "noise-free torque of held-out motions"
 _EMPTY: Final = {"noise": "exact"}
 """Reading of an empty setting by key; that of every other key is "default"."""
 
@@ -70,13 +71,7 @@ def experiment_lines(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tu
     plant, prior = (_setting(defaults, cells, key) for key in ("plant", "prior"))
     # A prior that is drawn around the truth names the deviation of a mass.
     prior += " (standard deviations of a draw around the truth)" if "mass" in prior else ""
-    plants = set(map(label, cells.get("plant", ())))
-    data = "Simulated with MuJoCo; no real robot was measured."
-    if RECORDED in plants:
-        more = "" if plants == {RECORDED} else ", and simulated with MuJoCo"
-        data = f"Recorded on robots{more}."
-    against = ["noise-free torque of held-out motions"] if plants != {RECORDED} else []
-    against += ["measured torque of held-out recordings"] if RECORDED in plants else []
+    data, against = _data_texts(set(map(label, cells.get("plant", ()))))
     lines = [
         ("Data", data),
         ("Task", _setting(defaults, cells, "task")),
@@ -85,9 +80,20 @@ def experiment_lines(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tu
         *((title, _setting(defaults, cells, key)) for title, key in _SETTINGS),
         ("Repeats", count_text(runs["repeats"], "noise draw") if "repeats" in runs else ""),
         ("Payload and link tasks", "Payload and link tasks take the rest of the robot as known."),
-        ("Scores", f"Torque errors are against the {' or the '.join(against)}."),
+        ("Scores", f"Torque errors are against the {against}."),
     ]
     return [line for line in lines if line[1]]
+
+
+def _data_texts(plants: set[str]) -> tuple[str, str]:
+    """Where the data of plants come from, and what their torque errors are against."""
+    if plants == {RECORDED}:
+        return "Recorded on robots.", "measured torque of held-out recordings"
+    data, against = "Simulated with MuJoCo; no real robot was measured.", _NOISE_FREE
+    if RECORDED in plants:
+        data = "Recorded on robots, and simulated with MuJoCo."
+        against += " or the measured torque of held-out recordings"
+    return data, against
 
 
 def _setting(defaults: Mapping[str, Any], cells: "pd.DataFrame", key: str) -> str:

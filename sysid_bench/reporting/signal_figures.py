@@ -94,14 +94,7 @@ def curve_figure(sample: StoredCurves, width: float = DOUBLE) -> "Figure":
         for name, values in curve.series.items():
             colour = COLOURS[names.index(name) % len(COLOURS)]
             (lines[name],) = axes.plot(curve.t, values, color=colour)
-        for limit in curve.limits or ():
-            axes.axhline(limit, color="#bbbbbb", linestyle="--", linewidth=0.6)
-        if curve.unit:
-            axes.set_ylabel(f"{plain(curve.name)} [{plain(curve.unit)}]")
-        else:
-            axes.set_title(plain(curve.name), loc="left", fontsize=7, pad=2)
-        axes.margins(x=0)
-        axes.spines[["top", "right"]].set_visible(False)
+        _frame_curve(axes, curve)
     for axes in grid.flat[len(sample.curves) :]:
         axes.set_visible(False)
     for axes in grid[-1]:
@@ -112,6 +105,18 @@ def curve_figure(sample: StoredCurves, width: float = DOUBLE) -> "Figure":
             named.values(), named, ncols=len(named), loc="outside upper right", frameon=False
         )
     return picture
+
+
+def _frame_curve(axes: "Axes", curve: Curve) -> None:
+    """Limits, name and unit of a curve."""
+    for limit in curve.limits or ():
+        axes.axhline(limit, color="#bbbbbb", linestyle="--", linewidth=0.6)
+    if curve.unit:
+        axes.set_ylabel(f"{plain(curve.name)} [{plain(curve.unit)}]")
+    else:
+        axes.set_title(plain(curve.name), loc="left", fontsize=7, pad=2)
+    axes.margins(x=0)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 COLUMNS: Final = 4

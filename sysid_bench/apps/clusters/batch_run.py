@@ -220,12 +220,7 @@ class ExecutorRun:
                 f"A worker does not compute for this run: {answer.refusal}. Install the same "
                 "versions there, or accept rows of others with '?other-code' behind the address."
             )
-        folder = (self.work.settings.folder / "artifacts").resolve()
-        for name, data in (answer.files or {}).items():
-            path = (folder / name).resolve()
-            if path.is_relative_to(folder):  # of no other place, whatever a plug-in wrote there
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_bytes(data)
+        self._write_artifacts(answer.files or {})
         for row in answer.rows:
             self._write(row, writer)
         if answer.machine is not None and answer.rows:
@@ -237,6 +232,14 @@ class ExecutorRun:
                 sound = (row for row in answer.rows if row.get("status") == "ok")
                 self._machines[name] = next(sound, {})
         self.on_event("task", {"worker": "engine", "cells": _ids(sent.jobs)})
+
+    def _write_artifacts(self, files: Mapping[str, bytes]) -> None:
+        folder = (self.work.settings.folder / "artifacts").resolve()
+        for name, data in files.items():
+            path = (folder / name).resolve()
+            if path.is_relative_to(folder):  # of no other place, whatever a plug-in wrote there
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(data)
 
     def _try_again(self, sent: _Sent, reason: str, writer: RowWriter) -> None:
         """Send the jobs of a batch that the engine lost again, one by one; after that they are
@@ -273,8 +276,7 @@ class ExecutorRun:
                 pairs = _cells(self.work.jobs)
                 job = next(job.of({row["id"]: c}) for job, c in pairs if c["id"] == row["id"])
                 (ours,) = seat.answer([job]).rows
-                compared = (key for key in row if key not in {*MACHINE_FIELDS, "machine"})
-                differing = [key for key in compared if not _agrees(row[key], ours.get(key))]
+                differing = _differing_fields(row, ours)
                 if differing:
                     self._notes.append(
                         f"Machine {name} computes cell {row['id']} otherwise than this one by more "
@@ -286,6 +288,12 @@ class ExecutorRun:
         finally:
             self._seat = None
             seat.close()
+
+
+def _differing_fields(row: Row, ours: Row) -> list[str]:
+    """Fields in which the rows of two machines differ, but for those of the machines."""
+    compared = (key for key in row if key not in {*MACHINE_FIELDS, "machine"})
+    return [key for key in compared if not _agrees(row[key], ours.get(key))]
 
 
 def _agrees(a: Any, b: Any) -> bool:

@@ -100,8 +100,7 @@ class Kit(Generic[C]):
         except Exception as error:
             found.append(finding_of_error(error, self.runs, name))
         else:
-            kind, laws = self.kind(), [x for x in vars(type(self)).values() if isinstance(x, Law)]
-            laws = [law for law in laws if kind in law.of or (not law.of and kind != "none")]
+            laws = self._laws(self.kind())
             # Shapes first: the other laws would raise on a result of another shape.
             for part in (True, False):
                 if not failed_checks(found):
@@ -109,6 +108,11 @@ class Kit(Generic[C]):
         if data_hash(self.given()) != before:
             found.append(Finding(UNCHANGED, name, False, self.changed))
         return found
+
+    def _laws(self, kind: str) -> list[Law]:
+        """Laws on results of a kind; those of no kind hold for all but "none"."""
+        laws = [one for one in vars(type(self)).values() if isinstance(one, Law)]
+        return [law for law in laws if kind in law.of or (not law.of and kind != "none")]
 
     def _finding(self, law: Law) -> Finding:
         """An exception that a law meets violates that law."""

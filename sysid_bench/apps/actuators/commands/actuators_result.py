@@ -138,9 +138,13 @@ class ActuatorsResult(IdentifyResult):
                 f"{one['to']:.1f} s, not fitted: RMS error {1e3 * one['rollout']:.2f} mrad (mm)"
             )
         if self.written is not None:
-            gap, reason = self.written["gap"], self.written["reason"]
-            again = f"not checked: {reason}" if gap is None else f"differs by {gap:.1e} rad (m)"
-            yield f"  model: {self.written['file']}; simulation by MuJoCo alone {again}"
+            yield _written_line(self.written)
+
+
+def _written_line(written: Mapping[str, Any]) -> str:
+    gap, reason = written["gap"], written["reason"]
+    again = f"not checked: {reason}" if gap is None else f"differs by {gap:.1e} rad (m)"
+    return f"  model: {written['file']}; simulation by MuJoCo alone {again}"
 
 
 def _value_text(joint: Mapping[str, Any], term: str) -> str:

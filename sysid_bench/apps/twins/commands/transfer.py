@@ -1,6 +1,6 @@
 """Verb `transfer`: what comparisons of methods on simulated replays predict of recorded robots."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import chain
@@ -171,20 +171,23 @@ class TransferResult(Result):
         for group, figures in self.figures.items():
             lines += [f"{group}:", "", *_HEAD, *(_line(s, figures[s]) for s in figures), ""]
             lines += [f"Aim: {', '.join(self._verdicts(figures))}.", ""]
-        lines += _SET_HEAD
-        for source, by_set in self.counts.items():
-            n = 1 if source == CEILING else self.draws
-            for name, one in by_set.items():
-                pairs = [f"{one[x] / n:.3g}" for x in ("claimed", "false", "real", "found")]
-                values = [one[x] for x in ("level", "misfit", "tau")]
-                cells = [*pairs, *("-" if x is None else f"{x:.2f}" for x in values)]
-                lines.append(f"| {name} | {source} | {' | '.join(cells)} |")
+        lines += [*_SET_HEAD, *self._set_lines()]
         failed = [
             f"- {name}, {source}: {reason}"
             for name, reasons in self.reasons.items()
             for source, reason in reasons.items()
         ]
         return "\n".join([*lines, *(["", "Failed:", "", *failed] if failed else [])])
+
+    def _set_lines(self) -> Iterator[str]:
+        """Counts of pairs of methods by source and set, means of the draws."""
+        for source, by_set in self.counts.items():
+            n = 1 if source == CEILING else self.draws
+            for name, one in by_set.items():
+                pairs = [f"{one[x] / n:.3g}" for x in ("claimed", "false", "real", "found")]
+                values = [one[x] for x in ("level", "misfit", "tau")]
+                cells = [*pairs, *("-" if x is None else f"{x:.2f}" for x in values)]
+                yield f"| {name} | {source} | {' | '.join(cells)} |"
 
     def _verdicts(self, figures: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         """Verdicts of the sources on the aims; open where they depend on the identified model."""
@@ -263,15 +266,16 @@ def _counts(
             # Of CEILING the first recorded test is taken for simulated.
             pairs = [(real[:1], real[1:])] if source == CEILING else [(one, real) for one in draws]
             # All verdicts refer to the reference: a draw in which it failed has none.
-            usable = [
-                pair
-                for pair in pairs
-                if all(pair) and all(METHOD in one for tests in pair for one in tests)
-            ]
+            usable = [pair for pair in pairs if _have_errors(pair, METHOD)]
             if usable:
                 of_draws = [verdict_counts(*pair, METHOD) for pair in usable]
                 counts.setdefault(source, {})[name] = mean_counts(of_draws)
     return {source: by_set for source, by_set in counts.items() if by_set}
+
+
+def _have_errors(pair: "Iterable[Sequence[Errors]]", method: str) -> bool:
+    """True where the method has errors on each test of a simulated and a real motion."""
+    return all(tests and all(method in one for one in tests) for tests in pair)
 
 
 def _figures(
