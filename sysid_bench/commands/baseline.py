@@ -264,7 +264,7 @@ def gate_run(
 ) -> "GateResult":
     """Compare a run with the baseline `known` of a file; raise UsageError where nothing can be
     compared that was asked for, `times` among it."""
-    from sysid_bench.commands.changes import change_json, common_fields, first_labels
+    from sysid_bench.commands.changes import change_json, common_fields
     from sysid_bench.harness.comparison.run_difference import find_difference
 
     now = values_of_run(run, tuple(known.run.metrics), times=times)
@@ -280,11 +280,7 @@ def gate_run(
             f"{now.name!r}; choose the baseline of its suite, or save one."
         )
     if times and not changes.speeds:
-        alone = first_labels(changes.without_time) or "none"
-        raise UsageError(
-            f"The baseline {file!r} and {str(run.path)!r} have no robot with times of two parts in "
-            f"both (in the baseline alone: {alone}); save the baseline again from such a run."
-        )
+        raise _without_common_times(run, file, changes)
     better = [change for change in changes.cells if not change.is_failed]
     return GateResult(
         folder=str(run.path),
@@ -298,6 +294,16 @@ def gate_run(
         untimed=[*changes.without_time],
         text=_gate_text(str(run.path), file, changes, len(better)),
         checks=tuple(_checks(changes)),
+    )
+
+
+def _without_common_times(run: "RunFolder", file: str, changes: "RunDifference") -> UsageError:
+    from sysid_bench.commands.changes import first_labels
+
+    alone = first_labels(changes.without_time) or "none"
+    return UsageError(
+        f"The baseline {file!r} and {str(run.path)!r} have no robot with times of two parts in "
+        f"both (in the baseline alone: {alone}); save the baseline again from such a run."
     )
 
 

@@ -287,10 +287,8 @@ def init_robot(
         massless=massless,
     )
     files = _write_model(Path(robot_name if out is None else out), robot_name, text, source)
-    conventions = {"convention": f'"{convention}"', "frames": f'"{frames}"'}
-    if any(turned):
-        conventions["base"] = f"[{', '.join(f'{x:.17g}' for x in turned)}]"
     links = [row for row in rows.rows if row.kind != "F"]
+    conventions = _conventions(convention, frames, turned)
     manifest = _table_manifest(robot_name, conventions, massless, links)
     files[0].write_text(manifest, encoding="utf-8")
     invented = [f"link{row.link}" for row in links if row.mass is None and row.link not in massless]
@@ -325,6 +323,14 @@ def _three_numbers(given: Sequence[float] | str, option: str) -> tuple[float, ..
     if len(words) != 3:
         raise UsageError(f"--{option}: write three numbers, as '0 pi/2 0'; got {given!r}.")
     return tuple(read_expression(word, {}, frozenset(), f"--{option}").constant for word in words)
+
+
+def _conventions(convention: str, frames: str, base: tuple[float, ...]) -> dict[str, str]:
+    """Keys of the table in a manifest, as TOML."""
+    keys = {"convention": f'"{convention}"', "frames": f'"{frames}"'}
+    if any(base):
+        keys["base"] = f"[{', '.join(f'{x:.17g}' for x in base)}]"
+    return keys
 
 
 def _table_manifest(

@@ -35,11 +35,7 @@ def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path |
             f"own format: name it *{suffixes[0]}."
         )
     for target in filter(None, (model, answer)):
-        if is_file(target) and any(_is_same(target, source) for source in sources):
-            raise UsageError(f"{str(target)!r} is the model itself; name another file.")
-        if not is_folder(target.parent):
-            folder = str(target.parent)
-            raise UsageError(f"There is no folder {folder!r} to write {target.name} to.")
+        _check_target(target, sources)
     if model is not None and not find_task(task).writes_model:
         raise UnsupportedError(
             f"The task {task!r} changes nothing of the robot's model; use the task 'link' for a "
@@ -49,6 +45,15 @@ def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path |
         raise UsageError(
             f"{str(answer)!r} cannot hold both the model and the JSON result; name two files."
         )
+
+
+def _check_target(target: Path, sources: Sequence[Path | None]) -> None:
+    """Raise UsageError for a file of the model itself, and for one in a folder that is absent."""
+    if is_file(target) and any(_is_same(target, source) for source in sources):
+        raise UsageError(f"{str(target)!r} is the model itself; name another file.")
+    if not is_folder(target.parent):
+        folder = str(target.parent)
+        raise UsageError(f"There is no folder {folder!r} to write {target.name} to.")
 
 
 def check_output_files(

@@ -54,16 +54,21 @@ def size_figure(sizes: tuple[SizeErrors, ...], width: float = DOUBLE) -> "Figure
             drawn["floor"] = axes.axhline(one.floor, color=COLOURS[6], linestyle=":")
         _label(axes, one)
         axes.spines[["top", "right"]].set_visible(False)
-    for axes in grid.ravel()[len(sizes) :]:
+    _label_edges(grid, len(sizes))
+    names = [name for name in (*methods, "floor") if name in drawn]
+    handles = [drawn[name] for name in names]
+    picture.legend(handles, names, ncols=len(names), loc="outside upper right", frameon=False)
+    return picture
+
+
+def _label_edges(grid: Any, used: int) -> None:
+    """Names of the quantities at the edges of a grid; axes that nothing is drawn on are hidden."""
+    for axes in grid.ravel()[used:]:
         axes.set_axis_off()
     for axes in grid[-1]:
         axes.set_xlabel("training [s]")
     for axes in grid[:, 0]:
         axes.set_ylabel("torque error")
-    names = [name for name in (*methods, "floor") if name in drawn]
-    handles = [drawn[name] for name in names]
-    picture.legend(handles, names, ncols=len(names), loc="outside upper right", frameon=False)
-    return picture
 
 
 def _label(axes: "Axes", one: SizeErrors) -> None:

@@ -102,12 +102,6 @@ def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
         name: rows[name].unstack("estimator")[methods] for name in ("error", "status", "converged")
     }
     cases = table["error"].index.to_frame(index=False)
-    # The most frequent reason of each method with a cell that is not ok.
-    reasons = {}
-    if "reason" in cells:
-        lost = cells[(cells["status"] != _OK) & cells["reason"].notna()]
-        groups = lost.groupby(lost["estimator"].map(label), sort=False)["reason"]
-        reasons = {str(method): str(given.value_counts().index[0]) for method, given in groups}
     return RankingCases(
         robots=tuple(cases.get("robot", ["robot"] * len(cases))),
         methods=tuple(methods),
@@ -118,8 +112,17 @@ def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
         noise_free=_noise_free(cases),
         told=_is(cases, "prior", "truth"),
         floor=max(metric.floor, float(np.finfo(float).tiny)),
-        reasons=reasons,
+        reasons=_main_reasons(cells),
     )
+
+
+def _main_reasons(cells: "pd.DataFrame") -> dict[str, str]:
+    """The most frequent reason of each method with a cell that is not ok."""
+    if "reason" not in cells:
+        return {}
+    lost = cells[(cells["status"] != _OK) & cells["reason"].notna()]
+    groups = lost.groupby(lost["estimator"].map(label), sort=False)["reason"]
+    return {str(method): str(given.value_counts().index[0]) for method, given in groups}
 
 
 def _is(cases: "pd.DataFrame", field: str, text: str) -> Array:

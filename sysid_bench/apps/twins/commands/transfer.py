@@ -17,6 +17,7 @@ from sysid_bench.errors import unknown_name
 
 if TYPE_CHECKING:
     from sysid_bench.apps.twins.agreement import Errors, VerdictCounts
+    from sysid_bench.apps.twins.commands.transfer_sources import Sources, TransferSource
 
 METHODS: Final = (
     *("ols", "wls", "irls", "huber", "tukey", "ridge"),
@@ -72,8 +73,8 @@ class TransferRequest(Request["TransferResult"]):
 
     def compare(self, progress: Callable[[str], None] | None) -> "TransferResult":
         """Compare the methods; `progress` is called with each set that is done."""
-        from sysid_bench.apps.twins.commands.transfer_sources import Sources, TransferSource
-        from sysid_bench.apps.twins.recorded_robot import METHOD, of_data_set, run_work
+        from sysid_bench.apps.twins.commands.transfer_sources import Sources
+        from sysid_bench.apps.twins.recorded_robot import METHOD, of_data_set
         from sysid_bench.reporting.error_figures import transfer_figure
 
         _check_names(self.truth, self.methods, self.levels)
@@ -83,12 +84,7 @@ class TransferRequest(Request["TransferResult"]):
             name: Sources(of_data_set(name), methods, truths, self.draws, self.seed)
             for name in sets
         }
-        work = {name: partial(one.errors, self.levels) for name, one in tried.items()}
-        found: dict[str, TransferSource] = {}
-        for name, source in run_work(work, self.jobs):
-            found[name] = source
-            if progress is not None:
-                progress(f"{name}: {source.seconds:.0f} s")
+        found = self._errors_by_set(tried, progress)
         counts = _counts({name: found[name].errors for name in sets})
         figures = _figures(counts)
         if self.figure is not None:
@@ -107,6 +103,19 @@ class TransferRequest(Request["TransferResult"]):
             reasons={name: found[name].reasons for name in sets if found[name].reasons},
             seconds=sum(one.seconds for one in found.values()),
         )
+
+    def _errors_by_set(
+        self, sources: "Mapping[str, Sources]", progress: Callable[[str], None] | None
+    ) -> "dict[str, TransferSource]":
+        from sysid_bench.apps.twins.recorded_robot import run_work
+
+        work = {name: partial(one.errors, self.levels) for name, one in sources.items()}
+        found: dict[str, TransferSource] = {}
+        for name, source in run_work(work, self.jobs):
+            found[name] = source
+            if progress is not None:
+                progress(f"{name}: {source.seconds:.0f} s")
+        return found
 
 
 def transfer(
