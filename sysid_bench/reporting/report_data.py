@@ -254,11 +254,6 @@ def _rounded(values: Array) -> list[float | None]:
     return [float(f"{v:.4g}") if np.isfinite(v) else None for v in values.tolist()]
 
 
-def read_data_text(text: str) -> Mapping[str, Any]:
-    """The JSON data of a packed text."""
-    return dict(json.loads(gzip.decompress(base64.b64decode(text))))
-
-
 def _packed_text(text: str) -> str:
     # mtime=0: the time of writing would make each page differ from the last.
     return base64.b64encode(gzip.compress(text.encode(), 6, mtime=0)).decode()

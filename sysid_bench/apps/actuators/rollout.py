@@ -164,8 +164,7 @@ def positions_of(
 
     Raises SimulationError where the robot diverges.
     """
-    # One start for the whole section: errors of position add up, as they do where the model is
-    # used.
+    # One start for the whole section: errors add up, as they do where the model is used.
     first, last, _ = rows.indices(len(commands))
     at_q, at_v = places
     # The first index of a transmission is that of a tendon, site or body in other kinds.
