@@ -37,7 +37,7 @@ from sysid_bench.types import (
 
 
 def cell_data(argument: Mapping[str, Any], row: Row) -> CellData:
-    """The data of the first estimator of `argument` (see harness/job.py), with its row.
+    """The data of the first estimator of `argument` (see `job_of` in harness/run.py), with its row.
 
     Raises UnsupportedError for a cell of recordings, and the error that the cell itself ended with
     where it has no estimate.
@@ -108,8 +108,8 @@ def repeat_cells(
     argument: Mapping[str, Any], channel: JobChannel | None = None
 ) -> dict[str, list[Row]]:
     """Status, end of the iterations and scores of the estimators of `argument["job"]` (see
-    harness/job.py) by cell: for the data of their experiment, then for `argument["repeats"]` copies
-    with other last bits (seeds 0, 1, ...).
+    `job_of` in harness/run.py) by cell: for the data of their experiment, then for
+    `argument["repeats"]` copies with other last bits (seeds 0, 1, ...).
 
     Raises UnsupportedError or UsageError for an experiment that cannot be made.
     """

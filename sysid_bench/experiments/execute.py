@@ -38,7 +38,7 @@ def prepare(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentData[Any]:
 
 
 def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
-    """Run the experiment of `argument` (see harness/job.py) and emit a row for each open cell.
+    """Run the experiment of `argument` (`job_of` in harness/run.py); emit a row for each open cell.
 
     Third-party code (`argument["third_party"]`) runs in processes of its own: an experiment whose
     data depend on it as a whole, otherwise the cells of third-party estimators and metrics, one by
@@ -159,7 +159,7 @@ class _PreparedCell:
         row |= scores | prepared.fields | {"stats": stats}
         score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})
         cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
-        # Metrics of plug-ins ({name, spec} each, see harness/job.py); empty without an estimate.
+        # Metrics of plug-ins ({name, spec} each); empty without an estimate.
         entries = self.argument.get("metrics", ())
         metrics: Row = {entry["name"]: None for entry in entries}
         if base_parameters(estimate) is not None:

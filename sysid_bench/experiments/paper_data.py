@@ -153,7 +153,7 @@ def write_paper_data(
     argument: Mapping[str, Any], cell: str, estimate: Estimate, prepared: ExperimentData[Any]
 ) -> None:
     """Write the files of `argument["papers"][cell]` below `argument["artifacts"]` (see
-    harness/job.py), where the cell is ok.
+    `job_of` in harness/run.py), where the cell is ok.
 
     Never raises for an entry that cannot be had: its file holds the reason.
     """

@@ -585,6 +585,7 @@ def _consolidate(
     target = out or folder
     plan = file_hash(folder / "plan.jsonl")
     with ExitStack() as stack:
+        # On disk: with the rows of 10,000 cells in memory, the end of a run took 1.8 GB.
         copy = stack.enter_context(tempfile.TemporaryFile(dir=target))
         files = FrameFiles(folder, earlier) if earlier else None
         scan = _Scan(planned, copy, earlier, files)

@@ -35,6 +35,7 @@ def page_name(text: str) -> str:
     if plain == text:
         # Nothing was replaced: links to old pages stay.
         return plain
+    # File names that differ by case alone are one file on some disks.
     return f"{plain or 'page'}-{hashlib.sha256(text.encode()).hexdigest()[:6]}"
 
 
@@ -177,6 +178,7 @@ class SuiteVersion:
         """Rankings of the first run's suite over the cells of all; a family that names methods
         stays theirs."""
         methods = list(dict.fromkeys(self.cells["estimator"].map(label)))
+        # The reference need not take part in a suite of somebody else.
         against = REFERENCE if REFERENCE in methods else methods[0]
         written = self.first.suite.get("ranking") or [{**_DEFAULT, "against": against}]
         # The run that a cell is shown of: conditions on its row are read with the plan of that run.

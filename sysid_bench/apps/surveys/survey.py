@@ -52,6 +52,7 @@ def cause_of(row: Mapping[str, Any]) -> str:
     """Return the cause of a refusal, "" for a model that is ok."""
     if row["status"] == "ok":
         return ""
+    # Ended from outside: there is no sentence to read a cause from.
     if row["status"] in _STATUS:
         return _STATUS[row["status"]]
     if row.get("nv") is not None:
@@ -261,6 +262,7 @@ def _reasons(models: Sequence[SurveyRecord]) -> str:
 def _mended(models: Sequence[SurveyRecord]) -> list[str]:
     repaired = [set(map(_kind, model.row["repairs"])) for model in models if model.ok]
     counts = Counter(chain.from_iterable(repaired))
+    # Kinds that occur once are many, and say nothing of the models in common.
     rows = [pair for pair in counts.most_common() if pair[1] > 1]
     alone = len(counts) - len(rows)
     untouched = sum(not kinds for kinds in repaired)

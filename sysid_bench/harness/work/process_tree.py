@@ -33,6 +33,7 @@ def kill_with(parent: int, at_its_end: int = signal.SIGKILL) -> None:
     if sys.platform != "linux":
         return
     _prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    # Tied to the thread that started this process: it has to live as long as the process is wanted.
     _prctl(_PR_SET_PDEATHSIG, at_its_end)
     if os.getppid() != parent:  # it ended before the call
         os._exit(1)

@@ -2,7 +2,7 @@
 
 A table of a row, a list of entries with the same keys, is written by column: {"columns": {key:
 values}}. Readers return lists of entries; files with lists of entries are read, too. Each line ends
-with the hash of its row (see row_hash.py): a row that was changed afterwards is not a row.
+with the hash of its row: a row that was changed afterwards is not a row.
 """
 
 import contextlib
@@ -120,7 +120,7 @@ class RowStart(NamedTuple):
 
 
 class RowWriter:
-    """Appends rows to its own file; once `append` returns, the operating system holds the row."""
+    """Appends rows to its own file; once `write` returns, the operating system holds the row."""
 
     def __init__(self, path: Path) -> None:
         # A file for each writer needs no lock, also on network folders, where SQLite's WAL is not
@@ -138,7 +138,7 @@ class RowWriter:
             table = row.get(name)
             if isinstance(table, list) and all(isinstance(entry, dict) for entry in table):
                 keys = set(map(tuple, table))
-                # By column, a table writes each of its keys once and not with every entry.
+                # By column: 23 of the 28 kB of a row were a table with its keys in 81 lines.
                 if len(keys) == 1 and keys != {()}:  # alike, in the same order, too
                     columns = {key: [entry[key] for entry in table] for key in table[0]}
                     row = row | {name: {"columns": columns}}

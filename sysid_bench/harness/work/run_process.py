@@ -116,6 +116,7 @@ def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
     os.setsid()  # it may end its process group, and not the worker with it
     kill_with(parent)
     # Close what the parent has open (row file, notices, lock), except the standard streams.
+    # Close-on-exec does not act at a fork, and an orphan would hold the lock of the run.
     open_now = os.listdir("/proc/self/fd") if sys.platform == "linux" else ()
     for descriptor in map(int, open_now):
         if descriptor > 2 and descriptor != pipe:

@@ -184,6 +184,7 @@ class WorkerSet:
     def _handle_notice(self, worker: Worker, notice: dict[str, Any] | None) -> None:
         if notice is None:
             self._end_worker(worker, *worker.end())
+        # A fork that came back from a plug-in answers a second time (18 notices for 8 cells).
         elif notice.get("job") != worker.number or worker.job is None:
             return  # of a job that has ended
         elif "progress" in notice:
@@ -261,6 +262,7 @@ class WorkerSet:
         """
         if worker.job is None:
             return
+        # The present cell alone, or the order of the methods would decide whom a crash costs.
         present = worker.current
         if present in worker.open_cells:
             self._settle(worker, [present], status, reason)

@@ -6,7 +6,7 @@ ends the worker. Out, each with the number of its job: {begin}, {cell: id} befor
 {failed: reason, status, traceback}, {dead: reason, status}, or {full: reason} where a row cannot be
 stored; with {left: true} third-party code has run in this process, which ends then. A row is stored
 before it is announced, so that it survives the supervisor. The worker ends at once when its input
-ends. On Linux it is the fork of a guard, which leaves nothing of it behind (see processes.py).
+ends. On Linux it is the fork of a guard, which leaves nothing of it behind (see process_tree.py).
 """
 
 import contextlib

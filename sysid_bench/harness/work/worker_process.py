@@ -41,6 +41,7 @@ class BoundedLog:
 
     def write(self, data: bytes) -> None:
         """Take output; a full disk loses it, and nothing else."""
+        # A method may print without end: 410 MB in a test.
         kept = data[: self._room]
         self._store(kept)
         self._room -= len(kept)
@@ -180,6 +181,7 @@ class Worker:
         self.current, self.has_begun = None, False
         self.open_cells = {cell["id"]: cell for cell in job.cells}
         self._log_start = self._log.total
+        # With its own limit of 5 s `ols` was a timeout on a busy machine, while it still imported.
         self.start_time_limit(max(self.settings.timeout, self.settings.start_timeout))
         losses = {cell["id"]: cell["losses"] for cell in job.cells if cell.get("losses")}
         self._outbox.put(
@@ -200,6 +202,7 @@ class Worker:
 
     def close_cell(self, cell: str) -> None:
         """Forget a cell, whose row is stored."""
+        # Each cell has the whole limit: 60 s of an experiment are 2.7 s for each of 22 methods.
         self.open_cells.pop(cell, None)
         self.current = None
         self.start_time_limit()
