@@ -212,6 +212,8 @@ def method_ratio(
         "fallback": _robot_means(cases, np.where(answered, logs, 0.0), planned),
         "replaced": _robot_means(cases, np.where(answered & converged, logs, 0.0), planned),
     }
+    # Answers without convergence may be good or a stroke of luck; a suite says beforehand which
+    # reading decides.
     deciding = by_robot["replaced" if is_replaced else "fallback"]
     own = answered & converged if is_replaced else answered
     known = deciding[~np.isnan(deciding)]
@@ -249,6 +251,7 @@ def _verdict(logs: Array, margin: float, fallbacks: float) -> str:
     ends = median_interval(logs)
     if ends is None:
         return UNDECIDED
+    # From the interval and not from p, which says nothing of the size of a difference.
     found = verdict(*ends, margin)
     return UNDECIDED if fallbacks > MOST_FALLBACKS and found != "worse" else found
 
@@ -271,6 +274,7 @@ def find_copied(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]
 
 def _is_same(cases: RankingCases, one: str, other: str) -> bool:
     a, b = (cases.methods.index(name) for name in (one, other))
+    # Copies fail alike: a method that fails elsewhere is another one.
     if (cases.status[:, a] != cases.status[:, b]).any():
         return False
     first, second = cases.errors[cases.with_ratio][:, [a, b]].T

@@ -236,6 +236,7 @@ def _numbers(joints: "pd.DataFrame", name: str) -> str:
 
 def torque_data(sample: StoredTorque) -> str:
     """Curves of a row that opens, packed: every n-th sample, four digits."""
+    # Picked, not averaged: residuals would look smaller than they are.
     step = max(1, -(-len(sample.t) // _SAMPLES))
     return data_text(
         {

@@ -316,6 +316,7 @@ def _informed(
 ) -> CommandCandidate:
     information = command_information(brief, commands)
     excess = np.maximum(uses.max(axis=0) - 1.0, 0.0)
+    # Excess is a penalty and no refusal: amplitudes are scaled to the limits at the end.
     own = information.by_joint(brief.drives.values[:, 0]) + BEYOND * excess
     return CommandCandidate(curves, commands, uses, information, own)
 

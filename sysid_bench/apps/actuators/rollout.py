@@ -311,6 +311,7 @@ class SimulatedPart:
         """
         k = len(start.joints)
         low, high = (np.tile(x, k) for x in (LOW, HIGH))
+        # The start of a free fit may lie beyond the bounds, where optimisers refuse it.
         first = np.clip((start.values / UNIT).ravel(), low, high)
 
         def drives(x: Array) -> Drives:
