@@ -37,7 +37,7 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
         rrb.TextDocumentView(name="Summary", origin="/summary"),
         row_shares=[3, 2],
     )
-    torques = _torque_plots(rows)
+    torques = _torque_page(rows)
     parts: list[rrb.Container | rrb.View] = [
         # Curves of an on-line estimator stand behind a tab.
         rrb.Tabs(torques, _curve_page(cell)) if cell.curves else torques,
@@ -62,13 +62,13 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
     )
 
 
-def _torque_plots(rows: Sequence[str]) -> rrb.Container:
+def _torque_page(rows: Sequence[str]) -> rrb.Container:
     """A grid of joints; beyond nine, tabs of grids."""
     plots = [
         rrb.TimeSeriesView(
             name=row,
             origin=rr.new_entity_path(["torque", row]),
-            plot_legend=rrb.PlotLegend(visible=i == 0),
+            plot_legend=rrb.PlotLegend(visible=i == 0),  # one legend serves all plots
         )
         for i, row in enumerate(rows)
     ]
