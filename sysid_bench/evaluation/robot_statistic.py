@@ -65,6 +65,8 @@ def rank_test_p(values: Array) -> float:
     for rank in doubled:
         without, taken = np.zeros((2, len(chances) + rank))
         without[: len(chances)], taken[rank:] = chances, chances
+        # Each rank has either sign with one half: the distribution of the sum by convolution, rank
+        # by rank.
         chances = 0.5 * (without + taken)
     seen = int(doubled[values > 0].sum())
     return float(min(1.0, 2.0 * min(chances[: seen + 1].sum(), chances[seen:].sum())))
@@ -105,6 +107,7 @@ def win_rates(values: Array) -> Array:
     for errors (cases, methods) with inf for a failure and NaN where there is no row; of the cases
     in which both have a row. Ties and pairs of failures count half; NaN where there is no case."""
     both = ~np.isnan(values)
+    # inf < inf is false: two failures are a tie.
     better = (values[:, :, None] < values[:, None, :]).sum(axis=0)
     same = (values[:, :, None] == values[:, None, :]).sum(axis=0)
     cases = (both[:, :, None] & both[:, None, :]).sum(axis=0)

@@ -321,8 +321,8 @@ def _call(name: str, function: Any) -> str:
 
 
 def plain_types(text: str) -> str:
-    """Return types without the modules that they come from."""
-    return _MODULES.sub("", text).replace("'", '"')
+    """Return types without the modules that they come from, default functions without address."""
+    return re.sub("<function .*? at 0x[0-9a-f]+>", "...", _MODULES.sub("", text)).replace("'", '"')
 
 
 def _fields(thing: Any) -> Table:

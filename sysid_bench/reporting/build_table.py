@@ -102,6 +102,7 @@ def with_best(table: Table, best: str) -> Table:
     for keys in _competitions(table):
         metric = table.metric_of(keys[0][1])
         choice = _MARKS.get(best, _DIRECTIONS.get(metric.better))
+        # Errors below the floor are one number: the smallest rounding is no merit.
         values = _above_floor(table, keys, metric.floor * metric.scale)
         # Equal values of all, as the condition number of data that they share, are no merit.
         if choice and values and (len(values) == 1 or len({*values.values()}) > 1):
@@ -219,6 +220,7 @@ def build_table(
     layout = layout_of(spec, cells, metrics)
     kept = table_fields(layout.fields, (metric.name for metric in layout.metrics))
     chosen = select_rows(cells, spec, choose)
+    # Only columns that the table can show are turned into text: rows have hundreds.
     chosen = with_labels(chosen[[name for name in chosen.columns if name in kept]])
     entries = table_entries(chosen, layout, parameters)
     fields = len(layout.columns)

@@ -105,6 +105,7 @@ def _numbers(lines: pd.DataFrame, metric: str) -> Array:
     values = pd.to_numeric(given.where(lines["status"] == "ok"), errors="coerce").to_numpy(float)
     if np.isnan(values).all():
         raise MissingRowsError(f"no row has the metric {metric}")
+    # An infinite error is no number to average: it counts as an answer that is missing.
     return np.where(np.isfinite(values), values, np.nan)
 
 
@@ -134,6 +135,8 @@ def _left_out_values(lines: pd.DataFrame, over: str) -> ClaimValues:
     free = table.drop(columns=[name for name in table if name in bound]).dropna(axis=1)
     if free.shape[1] == 0 or len(free) < 3:
         raise MissingRowsError("fewer than three units, or no value that is off its bound in all")
+    # Each unit against the range of all others: a range that its own value has widened would hold
+    # it too often.
     held = left_out_held(free.to_numpy(float), LEFT_OUT_SHARE).ravel()
     robots = np.repeat(free.index.to_numpy(str), free.shape[1])
     nothing = np.full(len(held), np.nan)
@@ -142,6 +145,7 @@ def _left_out_values(lines: pd.DataFrame, over: str) -> ClaimValues:
 
 def _by_case(lines: pd.DataFrame, metric: str, over: str, keys: list[str]) -> pd.DataFrame:
     """Mean `value` and the `unit` of the lines that share the keys."""
+    # Labels as text: mappings and lists of settings cannot be grouped by.
     labels = [name for name in keys if name != "method"]
     table = (
         lines[labels]
@@ -252,6 +256,7 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
         raise MissingRowsError(f"needs {claim['missing']}")
     lines = rows.lines(_kind(claim, rows))
     if level is not None:
+        # Realism levels are claims of their own: what holds without friction may fail with it.
         lines = lines[lines["plant"].map(label) == level]
     if len(lines) == 0:
         raise MissingRowsError(f"no rows at {level}" if level else "no rows")
@@ -332,6 +337,7 @@ def _logs(claim: Mapping[str, Any], values: ClaimValues, rows: ClaimRows) -> Arr
     left then; NaN where one of the two is rounding."""
     floor = max(metric_of(claim["metric"], rows.metrics).floor, float(np.finfo(float).tiny))
     own = np.where(np.isnan(values.own), values.against, values.own)
+    # Below the floor both are rounding, and their ratio is chance.
     known = (own > floor) & (values.against > floor)
     ratios = np.divide(own, values.against, out=np.full(len(own), np.nan), where=known)
     return np.asarray(np.log(ratios))

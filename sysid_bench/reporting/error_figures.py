@@ -112,6 +112,7 @@ def floor_of(cells: "pd.DataFrame", joints: "pd.DataFrame") -> float | None:
     """Return the RMS over joints of the error of repeating the training torque; None where the test
     is another motion."""
     wanted = cells.loc[cells["estimator"] == REFERENCE, "id"]
+    # Joints of small torque are left out here as in the torque error that the floor stands beside.
     parts = joints[joints["id"].isin(wanted) & ~joints["small"].fillna(False).astype(bool)]
     squares = parts["replayed"].dropna().astype(float) ** 2
     # Pipelines filter the training torque differently, and the test torque alike.

@@ -151,6 +151,7 @@ def _panels(table: Table) -> list[Table]:
 
 def _dots(table: Table, width: float) -> "Figure":
     panels = _panels(table)
+    # Height follows the lanes of the fuller panel: both share the rows.
     lanes = max(len(panel.columns) for panel in panels) or 1
     height = max(0.9 + (0.06 + 0.075 * lanes) * len(table.rows), 1.3)
     drawing = new_figure(height, width)

@@ -98,12 +98,9 @@ def report_html(run: RunView) -> str:
     data = {**cells, "chunk": CELLS, "hasJoints": len(chunks) > 0}
     name = run.suite.get("name") or run.folder.name
     tolerance = (run.suite.get("crosscheck") or {}).get("tolerance")
-    # Commands on a cell: to run it again, to print its whole row, to open its recording.
-    commands = {
-        "run": f"sysid-bench run {folder} --select 'id == \"ID\"' --rerun all",
-        "cell": f"sysid-bench cell {folder} ",
-        "view": f"sysid-bench view {folder} ",
-    }
+    # On a cell: to run it again, to print its whole row, to open its recording.
+    commands = {word: f"sysid-bench {word} {folder} " for word in ("run", "cell", "view")}
+    commands["run"] += "--select 'id == \"ID\"' --rerun all"
     return _render(
         "report",
         name=name,

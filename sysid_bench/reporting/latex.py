@@ -325,6 +325,7 @@ def suite_macro_text(
 def macro_names(keys: Sequence[tuple[str, ...]]) -> list[str]:
     """A macro name of letters for each key; different keys never share one."""
     plain = ["sid" + "".join(map(_camel, key)) for key in keys]
+    # A hash of the labels and not a running number, which a further row would shift.
     shared, names = Counter(plain), []
     for name, key in zip(plain, keys, strict=True):
         digest = hashlib.sha256("\0".join(key).encode("utf-8", "surrogatepass")).digest()

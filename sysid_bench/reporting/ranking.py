@@ -73,23 +73,8 @@ class RankingCases:
 
 def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
     """The cases of some cells. Raises UsageError where there are fewer than two methods."""
-    import pandas as pd
-
     names = [name for name in _CASE if name in cells.columns]
-    values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
-    # Rows without the field have converged.
-    converged = cells["converged"] if "converged" in cells else [None] * len(cells)
-    numbers = (bool, np.bool_, int, float)
-    lines = (
-        cells[names]
-        .map(label)
-        .assign(
-            estimator=cells["estimator"].map(label),
-            error=pd.to_numeric(values.where(cells["status"] == _OK), errors="coerce"),
-            status=cells["status"].map(label),
-            converged=[not (isinstance(one, numbers) and one == 0) for one in converged],
-        )
-    )
+    lines = _answer_lines(cells, names, metric)
     methods = list(dict.fromkeys(lines["estimator"]))
     if len(methods) < 2:
         raise UsageError(
@@ -119,6 +104,26 @@ def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
         told=_is(cases, "prior", "truth"),
         floor=max(metric.floor, float(np.finfo(float).tiny)),
         reasons=reasons,
+    )
+
+
+def _answer_lines(cells: "pd.DataFrame", names: list[str], metric: Metric) -> "pd.DataFrame":
+    """Labels, method, error, status and convergence of each cell."""
+    import pandas as pd
+
+    values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
+    # Rows without the field have converged.
+    converged = cells["converged"] if "converged" in cells else [None] * len(cells)
+    numbers = (bool, np.bool_, int, float)
+    return (
+        cells[names]
+        .map(label)
+        .assign(
+            estimator=cells["estimator"].map(label),
+            error=pd.to_numeric(values.where(cells["status"] == _OK), errors="coerce"),
+            status=cells["status"].map(label),
+            converged=[not (isinstance(one, numbers) and one == 0) for one in converged],
+        )
     )
 
 
@@ -196,34 +201,29 @@ def method_ratio(
     # No ratio to a zero: an error that is rounding has none, as that of a failure.
     errors = np.where(cases.errors > cases.floor, cases.errors, np.nan)
     logs = np.round(np.log(errors[:, m]) - np.log(errors[:, r]), _DIGITS)
-    # The method has a row, be it a failure, and the reference an answer; an error of either that is
-    # rounding has no ratio.
+    # The method has a row, be it a failure, and the reference an answer.
     planned = cases.with_ratio & cases.has_row[:, m] & (cases.errors[:, r] > cases.floor)
     planned &= ~(cases.errors[:, m] <= cases.floor)
     answered, converged = planned & np.isfinite(logs), cases.converged[:, m]
-    names = tuple(dict.fromkeys(cases.robots))
-    by_robot, figures = {}, {}
     # l = 0 is the answer of the reference: a failure neither wins nor loses by it. A penalty of ten
     # times the worst depends on who else is entered (measured: 20 to 4351 times the best).
-    for name, values, which in (
-        ("ratio", logs, answered),
-        ("fallback", np.where(answered, logs, 0.0), planned),
-        ("replaced", np.where(answered & converged, logs, 0.0), planned),
-    ):
-        # Cells of one robot share its dynamics and are no replicates: they are averaged first.
-        means = mean_by_robot(cases.robots, np.where(which, values, np.nan), names)
-        by_robot[name], figures[name] = means, RatioFigure.of(means[~np.isnan(means)])
+    by_robot = {
+        "ratio": _robot_means(cases, logs, answered),
+        "fallback": _robot_means(cases, np.where(answered, logs, 0.0), planned),
+        "replaced": _robot_means(cases, np.where(answered & converged, logs, 0.0), planned),
+    }
+    # Answers without convergence may be good or a stroke of luck; a suite says beforehand which
+    # reading decides.
     deciding = by_robot["replaced" if is_replaced else "fallback"]
     own = answered & converged if is_replaced else answered
     known = deciding[~np.isnan(deciding)]
     share = 1.0 - own.sum() / max(planned.sum(), 1)
     given = cases.noise_free & cases.has_row[:, m]
-    statuses = Counter(cases.status[planned & ~answered, m].tolist())
-    if "ok" in statuses:
-        statuses["no value"] = statuses.pop("ok")
+    lost = cases.status[planned & ~answered, m].tolist()
+    statuses = Counter("no value" if status == _OK else status for status in lost)
     return MethodRatio(
         method=method,
-        **figures,
+        **{name: RatioFigure.of(means[~np.isnan(means)]) for name, means in by_robot.items()},
         robots=len(known),
         cells=int(planned.sum()),
         statuses=dict(sorted(statuses.items())),
@@ -238,12 +238,20 @@ def method_ratio(
     )
 
 
+def _robot_means(cases: RankingCases, logs: Array, which: Array) -> Array:
+    """Mean (robots,) of the log ratios of some cases: cells of one robot share its dynamics and are
+    no replicates."""
+    names = tuple(dict.fromkeys(cases.robots))
+    return mean_by_robot(cases.robots, np.where(which, logs, np.nan), names)
+
+
 def _verdict(logs: Array, margin: float, fallbacks: float) -> str:
     """Verdict from the interval; that of a method which often has no own answer may only be worse
     or undecided, since the answers are those of the reference."""
     ends = median_interval(logs)
     if ends is None:
         return UNDECIDED
+    # From the interval and not from p, which says nothing of the size of a difference.
     found = verdict(*ends, margin)
     return UNDECIDED if fallbacks > MOST_FALLBACKS and found != "worse" else found
 
@@ -266,6 +274,7 @@ def find_copied(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]
 
 def _is_same(cases: RankingCases, one: str, other: str) -> bool:
     a, b = (cases.methods.index(name) for name in (one, other))
+    # Copies fail alike: a method that fails elsewhere is another one.
     if (cases.status[:, a] != cases.status[:, b]).any():
         return False
     first, second = cases.errors[cases.with_ratio][:, [a, b]].T

@@ -87,6 +87,8 @@ def cost_by_method(ranking: Ranking, cells: "pd.DataFrame") -> tuple[CostPoint, 
         ratio = one.fallback
         if ratio.value is not None and seconds.get(one.method, 0.0) > 0:
             ends = None if ratio.low is None or ratio.high is None else (ratio.low, ratio.high)
+            # With the reference in place of failures: else a method would look good on the cases
+            # that it managed.
             points.append(CostPoint(one.method, seconds[one.method], ratio.value, ends))
     return tuple(points)
 
@@ -94,6 +96,7 @@ def cost_by_method(ranking: Ranking, cells: "pd.DataFrame") -> tuple[CostPoint, 
 def find_best(points: tuple[CostPoint, ...]) -> tuple[CostPoint, ...]:
     """The points than which no other is both quicker and better, from the quickest on."""
     kept: list[CostPoint] = []
+    # From the quickest on, only a better ratio joins the front.
     for point in sorted(points, key=lambda one: (one.seconds, one.ratio)):
         if not kept or point.ratio < kept[-1].ratio:
             kept.append(point)

@@ -80,6 +80,7 @@ def _verdict_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
     rank = ranking.rank_interval.get(one.method)
     corrected = ranking.holm_p.get(one.method)
     is_reference = one.method == ranking.against
+    # The reference against itself is no comparison.
     tested = NO_ENTRY if is_reference or not one.robots else _number(one.p)
     return (
         NO_ENTRY if rank is None else _number(*map(_finite, rank)),
@@ -173,6 +174,8 @@ def _table(
 
 def _notes(ranking: Ranking) -> Iterator[str]:
     cases, robots = ranking.cases, max((one.robots for one in ranking.comparisons), default=0)
+    # Few robots cannot reach a small p, however clear the difference: the reader has to know the
+    # floor.
     floor, tested = least_p(robots), len(ranking.holm_p)
     yield (
         f"With {robots} robots p cannot be below {floor:.2g}, and after the correction not below "

@@ -37,21 +37,7 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
         rrb.TextDocumentView(name="Summary", origin="/summary"),
         row_shares=[3, 2],
     )
-    # A grid of joints; beyond nine, tabs of grids.
-    plots = [
-        rrb.TimeSeriesView(
-            name=row,
-            origin=rr.new_entity_path(["torque", row]),
-            plot_legend=rrb.PlotLegend(visible=i == 0),
-        )
-        for i, row in enumerate(rows)
-    ]
-    starts = range(0, len(plots), _PLOTS_PER_PAGE)
-    grids = [
-        _grid(plots[start : start + _PLOTS_PER_PAGE], f"Torques {i}")
-        for i, start in enumerate(starts, start=1)
-    ]
-    torques = grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
+    torques = _torque_page(rows)
     parts: list[rrb.Container | rrb.View] = [
         # Curves of an on-line estimator stand behind a tab.
         rrb.Tabs(torques, _curve_page(cell)) if cell.curves else torques,
@@ -74,6 +60,24 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
         rrb.TimePanel(state="collapsed", timeline=timeline),
         auto_views=False,
     )
+
+
+def _torque_page(rows: Sequence[str]) -> rrb.Container:
+    """A grid of joints; beyond nine, tabs of grids."""
+    plots = [
+        rrb.TimeSeriesView(
+            name=row,
+            origin=rr.new_entity_path(["torque", row]),
+            plot_legend=rrb.PlotLegend(visible=i == 0),  # one legend serves all plots
+        )
+        for i, row in enumerate(rows)
+    ]
+    starts = range(0, len(plots), _PLOTS_PER_PAGE)
+    grids = [
+        _grid(plots[start : start + _PLOTS_PER_PAGE], f"Torques {i}")
+        for i, start in enumerate(starts, start=1)
+    ]
+    return grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
 
 
 def _eye(positions: np.ndarray) -> rrb.EyeControls3D:

@@ -236,6 +236,7 @@ def _numbers(joints: "pd.DataFrame", name: str) -> str:
 
 def torque_data(sample: StoredTorque) -> str:
     """Curves of a row that opens, packed: every n-th sample, four digits."""
+    # Picked, not averaged: residuals would look smaller than they are.
     step = max(1, -(-len(sample.t) // _SAMPLES))
     return data_text(
         {
@@ -252,11 +253,6 @@ def torque_data(sample: StoredTorque) -> str:
 
 def _rounded(values: Array) -> list[float | None]:
     return [float(f"{v:.4g}") if np.isfinite(v) else None for v in values.tolist()]
-
-
-def read_data_text(text: str) -> Mapping[str, Any]:
-    """The JSON data of a packed text."""
-    return dict(json.loads(gzip.decompress(base64.b64decode(text))))
 
 
 def _packed_text(text: str) -> str:

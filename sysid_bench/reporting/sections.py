@@ -39,6 +39,7 @@ def source_tables(cells: "pd.DataFrame") -> Iterator[Table]:
     data = is_recorded[kept.index].map({True: RECORDED, False: "simulated"})
     lines = kept.assign(data=data)
     sources = lines.groupby("robot")["data"].nunique()
+    # Only robots that have both: else easy robots on one side would pass for easy data.
     lines = lines[lines["robot"].isin(sources.index[sources > 1])]
     if len(lines):
         spec: dict[str, Any] = {

@@ -77,6 +77,8 @@ def select_rows(
         for field, value in select.items():
             if field not in cells.columns:
                 raise unknown_name("field of the cells", str(field), map(str, cells.columns))
+            # Compared as text, as tables show it: 1 and 1.0 are one value, and so are mappings in
+            # rows of JSON and Parquet.
             allowed = set(map(label, value if isinstance(value, list) else [value]))
             cells = cells[[text in allowed for text in map(label, cells[field])]]
     if len(cells) == 0:

@@ -79,6 +79,7 @@ def table_entries(
     rows, entries = len(layout.rows), {}
     for metric in layout.metrics:
         name = (metric.name,) if layout.has_metric_columns else ()
+        # dropna=False: a cell without a label is a group of its own, and does not vanish.
         for found, group in cells.groupby(list(layout.fields), sort=False, dropna=False):
             labels = tuple(map(label, found if isinstance(found, tuple) else (found,)))
             key = labels[:rows], labels[rows:] + name

@@ -280,6 +280,7 @@ class Table:
     @cached_property
     def note_labels(self) -> dict[str, str]:
         """A letter for every note that an entry carries."""
+        # Letters in the order in which a reader meets the notes.
         planned = filter(None, starmap(self.entry, self.indices))
         notes = dict.fromkeys(entry.note for entry in planned)
         return {note: _letters(i) for i, note in enumerate(filter(None, notes))}

@@ -17,12 +17,14 @@ def view(path: Path, web: bool = False) -> subprocess.Popen[bytes]:
             f"The recording {str(path)!r} does not exist; make it with sysid-bench record."
         )
     more = ["--web-viewer"] if web else []
+    # Bound to this machine: the viewer would else listen on every network.
     return subprocess.Popen([str(rerun_tool()), "--bind", "127.0.0.1", *more, str(path)])
 
 
 def rerun_tool() -> Path:
     """The `rerun` program that belongs to this Python."""
     folder = Path(sys.executable).parent
+    # Beside this Python and not by PATH, where a viewer of another version may lie.
     for name in ("rerun", "rerun.exe", "Scripts/rerun.exe"):
         if (folder / name).is_file():
             return folder / name

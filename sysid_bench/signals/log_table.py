@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.signals.log_keys import preset_note
 from sysid_bench.signals.log_library import report
 from sysid_bench.types import Array
@@ -98,8 +98,11 @@ def column_names(path: Path, names: Sequence[str]) -> dict[str, tuple[int, ...]]
 def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     """Return the arrays of the greatest length N as columns: (N,) is one, (N, k) or (k, N) are k.
 
-    Column i of an array "q" is also named "q:i", from 1. Raises UsageError without numbers.
+    Column i of an array "q" is also named "q:i", from 1. Raises UsageError without numbers, and for
+    a list in place of an array, which a reader of one's own may return.
     """
+    if lists := [name for name, x in arrays.items() if isinstance(x, list | tuple)]:
+        raise UsageError(f"{path}: {first_names(lists)} is a list; give numpy.asarray of it.")
     numeric = {
         name: x
         for name, x in arrays.items()

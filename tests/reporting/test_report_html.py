@@ -1,5 +1,7 @@
 """Laws of the page: offline, escaped, small, and every cell in it."""
 
+import base64
+import gzip
 import html
 import json
 import re
@@ -16,7 +18,6 @@ import pytest
 from sysid_bench.reporting import report_data as page_data
 from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.html import RunView, report_html, write_compare_page, write_report
-from sysid_bench.reporting.report_data import read_data_text
 from sysid_bench.reporting.signal_figures import StoredTorque
 from sysid_bench.reporting.text_table import TextTable
 from tests.reporting.browser import shown
@@ -47,10 +48,15 @@ def run(
     return RunView(tmp_path, SUITE, env, cells, joints, tables, links, "sysid-bench run smoke")
 
 
+def read_data_text(text: str) -> dict[str, Any]:
+    """The JSON data of a packed text."""
+    return dict(json.loads(gzip.decompress(base64.b64decode(text))))
+
+
 def data_of(page: str, name: str = "data") -> dict[str, Any]:
     found = re.search(rf'id="{name}">(.*?)</script>', page, re.DOTALL)
     assert found is not None
-    return dict(read_data_text(found[1]))
+    return read_data_text(found[1])
 
 
 def words_of(data: Mapping[str, Any], name: str) -> list[str]:

@@ -21,7 +21,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table
-from sysid_bench.signals.log_table import LogTable
+from sysid_bench.signals.log_table import LogTable, table_of_arrays
 from tests.robots import named_robot
 
 from .logs import Recorded, recorded, write
@@ -229,3 +229,11 @@ def test_a_reader_of_another_format_is_checked_on_a_file(raw: Path) -> None:
 def test_a_recorded_file_is_for_log_readers(raw: Path) -> None:
     with pytest.raises(UsageError, match="read by log readers, not by a plug-in of kind plant"):
         check_plugin("matched", kind="plant", file=raw)
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_a_list_in_place_of_an_array_is_named(place: int, tmp_path: Path) -> None:
+    names = ("q", "v", "tau")
+    arrays = {name: [0.0] if i == place else np.zeros(4) for i, name in enumerate(names)}
+    with pytest.raises(UsageError, match=rf"{names[place]} is a list.*asarray"):
+        table_of_arrays(tmp_path / "log.own", arrays)

@@ -113,6 +113,7 @@ class Fit:
 def group_joints(rows: DriveRows, shared: Sequence[str]) -> tuple[Group, ...]:
     """Return the groups of joints: those whose names hold the same word of `shared`, or match the
     same pattern ("*_knee"), and each other joint by itself."""
+    # The first word that a name holds decides: a joint is in one group.
     labels = [next((w for w in shared if holds(name, w)), name) for name in rows.joints]
     members = [
         tuple(i for i, label in enumerate(labels) if label == one) for one in dict.fromkeys(labels)

@@ -289,20 +289,7 @@ def design_commands(
     for _ in range(iterations):
         other = seen(_candidate(brief, random_near(best.curves, rng, SPREAD)))
         best = _better(best, other, seen(_candidate(brief, _joined(best, other))))
-    # The search knows one set of actuators; real ones may move farther under the same commands.
-    # The worst of three plants therefore sets the amplitudes, which all of them share.
-    values = brief.drives.values
-    plants = [brief.drives] + [
-        replace(brief.drives, values=values * [factor, factor, factor, 1.0]) for factor in OTHERS
-    ]
-    curves = best.curves
-    for _ in range(ROUNDS):
-        moved = [_moved(brief, curves, drives) for drives in plants]
-        uses = np.max([uses for _, uses in moved], axis=0)
-        if uses.max() <= 1.0:
-            break
-        curves = _scaled(curves, uses)
-    return _informed(brief, curves, moved[0][0], uses)
+    return _within_limits(brief, best)
 
 
 def _better(*candidates: CommandCandidate) -> CommandCandidate:
@@ -329,12 +316,30 @@ def _informed(
 ) -> CommandCandidate:
     information = command_information(brief, commands)
     excess = np.maximum(uses.max(axis=0) - 1.0, 0.0)
+    # Excess is a penalty and no refusal: amplitudes are scaled to the limits at the end.
     own = information.by_joint(brief.drives.values[:, 0]) + BEYOND * excess
     return CommandCandidate(curves, commands, uses, information, own)
 
 
 def _scaled(curves: CommandCurves, uses: Array) -> CommandCurves:
     return replace(curves, reach=curves.reach * np.minimum(1.0, MARGIN / uses.max(axis=0)))
+
+
+def _within_limits(brief: CommandProblem, candidate: CommandCandidate) -> CommandCandidate:
+    # The search knows one set of actuators; real ones may move farther under the same commands.
+    # The worst of three plants therefore sets the amplitudes, which all of them share.
+    values = brief.drives.values
+    plants = [brief.drives] + [
+        replace(brief.drives, values=values * [factor, factor, factor, 1.0]) for factor in OTHERS
+    ]
+    curves = candidate.curves
+    for _ in range(ROUNDS):
+        moved = [_moved(brief, curves, drives) for drives in plants]
+        uses = np.max([uses for _, uses in moved], axis=0)
+        if uses.max() <= 1.0:
+            break
+        curves = _scaled(curves, uses)
+    return _informed(brief, curves, moved[0][0], uses)
 
 
 def command_information(brief: CommandProblem, commands: Commands) -> DriveInformation:

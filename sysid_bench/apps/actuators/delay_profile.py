@@ -5,7 +5,9 @@ from armature and damping alone separates them, and model errors of that size hi
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -72,9 +74,14 @@ def delay_profile(
 ) -> DelayProfile:
     """Return the profile over delays (s); `between`: the best may lie between two of them; `scale`
     (k,): see `bounded_fit`."""
+
+    @cache
+    def fit_at(delay: float) -> Fit:
+        return bounded_fit(groups, rows.torque(delay), rows.rate, scale)
+
+    fits = tuple(map(fit_at, delays.tolist()))
     # A profile and not a point: without the bounds the best delay of legs is 17.5 to 20 ms, with
     # negative armatures.
-    fits = tuple(bounded_fit(groups, rows.torque(delay), rows.rate, scale) for delay in delays)
     first = min(fits, key=lambda fit: float(fit.errors.sum()))
     # One count for all delays: losses of different counts could not be compared.
     counts = independent_samples(first.residuals, rows.rate)
@@ -89,20 +96,12 @@ def delay_profile(
             for low, high in pairwise(ends)
             if low <= best <= high
         ]
-        known = dict(zip(delays.tolist(), fits, strict=True))
-
-        def fit_at(delay: float) -> Fit:
-            found = known.get(delay)
-            return found or bounded_fit(groups, rows.torque(delay), rows.rate, scale)
-
-        best, lowest = min(
-            (_lowest(piece, [fit_at(d) for d in piece], counts) for piece in pieces),
-            key=lambda found: found[1],
-        )
+        found = [_lowest(piece, list(map(fit_at, piece.tolist())), counts) for piece in pieces]
+        best, lowest = min(found, key=itemgetter(1))
     ahead = False
     if best == 0.0:
         # No drive acts before its command: where that fits better, q_des is stamped late.
-        early = bounded_fit(groups, rows.torque(-0.5 / rows.rate), rows.rate, scale)
+        early = fit_at(-0.5 / rows.rate)
         ahead = bool(_loss(early.errors, counts) + early.penalty < lowest - AHEAD)
     loss = loss - lowest
     low = _end(delays[delays < best][::-1], loss[delays < best][::-1], best)

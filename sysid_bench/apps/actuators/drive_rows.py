@@ -18,6 +18,7 @@ from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.filter import Filter, derivative, filter_of
 from sysid_bench.signals.log import Log
 from sysid_bench.signals.log_samples import RecordedBase
+from sysid_bench.signals.position_control import Commands
 from sysid_bench.signals.processing import Processing
 from sysid_bench.simulation.inverse import joint_positions
 from sysid_bench.spatial import (
@@ -153,30 +154,15 @@ def drive_rows(
     low_pass = drive_filter(recording.rate)
     processing = Processing(low_pass, differentiate=True, accuracy=ACCURACY)
     filtered = processing.apply(recording, robot.joints)
-    q, v = joint_indices(robot, joints)
+    q, _ = joint_indices(robot, joints)
     edge = processing.edge(recording)
     used = slice(edge, len(recording) - edge)
     motion = _with_base(robot, log, filtered.motion, rows, used)
     motion = _moved(robot, motion, q, np.zeros(len(q)) if bias is None else bias)
     rigid = _known_torque(robot, motion, joints)
-    # The filtered direction of motion: sign(v) behind a filter that is wider than that of the rows.
-    wide = filter_of(f"butter 4 {WIDE * recording.rate:g} Hz zero-phase")
-    rates = derivative(wide, wide.smooth(recording.q[:, q], whole.rate), whole.rate, ACCURACY)
-    friction = low_pass.smooth(np.tanh(rates / SMOOTHING), whole.rate)[used]
-    columns = [motion.a[:, v], motion.v[:, v], friction, np.ones_like(friction)]
-    further = {"load": np.abs(rigid) * friction, "gain": rigid}
-    # kp times a bias looks like an offset: only gravity that changes with the posture separates
-    # them.
-    if "bias" in more:
-        further["bias"] = _tilted(robot, motion, joints, q)
-    features = np.stack([*columns, *(further[name] for name in more)], axis=2)
+    friction = _friction_direction(recording.q[:, q], recording.rate)[used]
     measured: Array = filtered.tau[:, list(map(recording.rows.index, joints))] - rigid
-    commands = log.commands
-    if commands is not None:
-        # With the state of the recording, in which held samples are replaced: a drive that repeats
-        # a message knows its own state.
-        own = None if whole.v is None else whole.v[:, v]
-        commands = replace(commands.of(joints), q=whole.q[:, q], v=own).select(rows)
+    commands = _commands_of(robot, log, joints, rows)
 
     def torque(delay: float) -> Array:
         if commands is None:  # a measured torque has no delay
@@ -186,13 +172,53 @@ def drive_rows(
     return DriveRows(
         joints=tuple(joints),
         rate=recording.rate,
-        features=features,
+        features=_features(robot, motion, joints, friction, rigid, more),
         links=rigid,
         torque=torque,
         more=tuple(more),
         bias=bias,
         armature=None if commands is None else commands.armature,
     )
+
+
+def _features(
+    robot: RobotModel,
+    motion: Trajectory,
+    joints: Sequence[str],
+    friction: Array,
+    rigid: Array,
+    more: Sequence[str],
+) -> Array:
+    """Columns (N, k, 4 + e) of UNKNOWNS and of `more`."""
+    q, v = joint_indices(robot, joints)
+    columns = [motion.a[:, v], motion.v[:, v], friction, np.ones_like(friction)]
+    further = {"load": np.abs(rigid) * friction, "gain": rigid}
+    # kp times a bias looks like an offset: only gravity that changes with the posture separates
+    # them.
+    if "bias" in more:
+        further["bias"] = _tilted(robot, motion, joints, q)
+    return np.stack([*columns, *(further[name] for name in more)], axis=2)
+
+
+def _friction_direction(q: Array, rate: float) -> Array:
+    """Smooth sign of the rate (N, k) of positions, through the filter of the rows."""
+    # Differences behind a wider filter than that of the rows: the steps of sign(v) stay steps until
+    # the filter of the rows rounds them, as it rounds those of the torque.
+    wide = filter_of(f"butter 4 {WIDE * rate:g} Hz zero-phase")
+    rates = derivative(wide, wide.smooth(q, rate), rate, ACCURACY)
+    return drive_filter(rate).smooth(np.tanh(rates / SMOOTHING), rate)
+
+
+def _commands_of(
+    robot: RobotModel, log: Log, joints: Sequence[str], rows: slice
+) -> Commands | None:
+    if log.commands is None:
+        return None
+    # With the state of the recording, in which held samples are replaced: a drive that repeats a
+    # message knows its own state.
+    (q, v), whole = joint_indices(robot, joints), log.recording
+    own = None if whole.v is None else whole.v[:, v]
+    return replace(log.commands.of(joints), q=whole.q[:, q], v=own).select(rows)
 
 
 def drive_filter(rate: float) -> Filter:

@@ -164,8 +164,7 @@ def positions_of(
 
     Raises SimulationError where the robot diverges.
     """
-    # One start for the whole section: errors of position add up, as they do where the model is
-    # used.
+    # One start for the whole section: errors add up, as they do where the model is used.
     first, last, _ = rows.indices(len(commands))
     at_q, at_v = places
     # The first index of a transmission is that of a tendon, site or body in other kinds.
@@ -312,6 +311,7 @@ class SimulatedPart:
         """
         k = len(start.joints)
         low, high = (np.tile(x, k) for x in (LOW, HIGH))
+        # The start of a free fit may lie beyond the bounds, where optimisers refuse it.
         first = np.clip((start.values / UNIT).ravel(), low, high)
 
         def drives(x: Array) -> Drives:

@@ -220,8 +220,7 @@ def verdict_counts(
         tau = float(kendalltau(*orders).statistic)
     return VerdictCounts(
         claimed=int(claimed.sum()),
-        # A claim is false where reality has the other sign, and where it shows no difference at
-        # all.
+        # False where reality has the other sign, and where it shows no difference at all.
         false=int((claimed & ((s * r < 0) | (np.abs(r) < EQUAL))).sum()),
         real=int(found.sum()),
         found=int((found & (s * r > 0) & (np.abs(s) > EQUAL)).sum()),

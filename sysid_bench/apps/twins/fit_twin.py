@@ -2,7 +2,7 @@
 
 The noise is a sum of first-order processes that has the autocorrelation of the residual."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -152,7 +152,6 @@ def plant_keys(
 
     widths, vs = shapes("width", STEP_WIDTH), np.array(shapes("vs", 1.0))
     load, peak, viscous = sizes("load"), of_gravity(sizes("stribeck")), sizes("viscous")
-    # Plant files state the change of viscous friction at the velocity limit over itself.
     curve = sizes("curved") * rate_limit(robot) / np.where(viscous > 0, viscous, np.inf)
     slope, late = sizes("time", measured), shapes("delay", 0.0, measured)
     shape = {"vs": vs.tolist(), "v0": (vs / SHARPNESS).tolist()}
@@ -162,13 +161,7 @@ def plant_keys(
         (peak.any(), {"use": "stribeck", "share": _percent(peak), **shape}),
         (curve.any(), {"use": "curved-friction", "curvature": _percent(curve)}),
     ]
-    orders = dict.fromkeys(("first", "second", "third"), 0.0)
-    for order, word in enumerate(orders, start=1):
-        A, B = sizes(f"sin {order}"), sizes(f"cos {order}")
-        # A sin(k q) + B cos(k q) is one wave sin(k (q + phase)): hence the phase over the order.
-        phase, share = np.arctan2(B, A) / order, _percent(of_gravity(np.hypot(A, B)))
-        entry = {"use": "low-harmonics", **orders, word: share, "phase": phase.tolist()}
-        effects.append((phase.any(), entry))
+    effects += _harmonic_entries(sizes, of_gravity)
     sensors = [
         (slope.any(), {"use": "torque-drift", "slope": slope.tolist()}),
         (any(late), {"use": "delay", "tau": late}),
@@ -178,6 +171,19 @@ def plant_keys(
         "effects": [entry for has_size, entry in effects if has_size] or ["matched"],
         "sensors": [*noise.entries(), *(entry for has_size, entry in sensors if has_size)],
     }
+
+
+def _harmonic_entries(
+    sizes: Callable[[str], Array], of_gravity: Callable[[Array], Array]
+) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Whether there is any, and the entry of a plant, of the low harmonics of each order."""
+    orders = dict.fromkeys(("first", "second", "third"), 0.0)
+    for order, word in enumerate(orders, start=1):
+        A, B = sizes(f"sin {order}"), sizes(f"cos {order}")
+        # A sin(k q) + B cos(k q) is one wave sin(k (q + phase)): hence the phase over the order.
+        phase, share = np.arctan2(B, A) / order, _percent(of_gravity(np.hypot(A, B)))
+        entry = {"use": "low-harmonics", **orders, word: share, "phase": phase.tolist()}
+        yield phase.any(), entry
 
 
 def _percent(shares: Array) -> list[float]:

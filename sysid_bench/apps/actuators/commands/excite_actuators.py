@@ -384,6 +384,7 @@ def _warnings(
 ) -> Iterator[str]:
     """What stays open, and what the model does not state."""
     if candidate.information.delay_open > RESOLVED:
+        # The limit that is used up tells what to allow.
         used = _limit_fields(problem, candidate)
         kind = max(used, key=lambda name: float(used[name]["share"]))
         yield (

@@ -86,6 +86,7 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
     logs = [*training, *tests.values()]
     manifest = find_manifest(str(request.model), request.robots_dir)
     is_floating = load_robot(manifest).floating
+    # Joints without a log are locked: nothing is known of their motion.
     manifest = drive_manifest(manifest, logs)
     model_out = _check_targets(request, load_robot(manifest))
     check_output_files(request.files, None, logs)
@@ -222,6 +223,7 @@ class _DriveErrors:
     def torque_ratio(self) -> Array:
         """RMS error of the torque over its RMS (k,); NaN for joints with hardly any torque."""
         kind, (torque, error) = scalar_kinds(self.parts[0].robot), self.torque_rms
+        # A share of hardly any torque is that of noise.
         loaded = loaded_joints(torque, [kind[name] for name in self.found.rows.joints])
         return np.asarray(np.divide(error, torque, out=np.full_like(error, np.nan), where=loaded))
 
@@ -287,6 +289,8 @@ def _configurations(result: ActuatorsResult, part: DrivePart) -> dict[str, str]:
         )
         for j, (name, joint) in enumerate(result.joints.items())
     }
+    # Between files where there are several: the interval of one profile holds for an exact model
+    # alone.
     low, high = result.delay_interval or (result.delay, result.delay)
     if result.std_from == "files" and result.files is not None:
         low, high = result.files["delay"]["low"], result.files["delay"]["high"]
