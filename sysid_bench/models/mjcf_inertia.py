@@ -42,7 +42,7 @@ def compiled_inertia(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str
     files = {geom: _mesh_file(spec, geom.meshname, path, folder) for geom in weighing}
     lost = {geom: f for geom, f in files.items() if f is not None and not is_file(f)}
     kept = {geom: file for geom, file in files.items() if geom not in lost}
-    absent = _absent_text(lost, folder) if lost else ""
+    absent = _absent_text(lost, folder)
     _delete_shapes_with_files(spec, kept)
     if kept or absent or _has_rules(spec):
         _fix_inertias(spec, path, absent)
@@ -118,7 +118,10 @@ def _delete_all(spec: mujoco.MjSpec, elements: Iterable[Any]) -> None:
 
 
 def _absent_text(lost: Mapping[mujoco.MjsGeom, Path], folder: Path) -> str:
-    """Bodies whose inertia comes from meshes that do not exist, in the order of the text."""
+    """Bodies whose inertia comes from meshes that do not exist, in the order of the text; "" if
+    there are none."""
+    if not lost:
+        return ""
     within = folder.resolve()
     files = [os.path.relpath(os.path.realpath(file), within) for file in lost.values()]
     return (

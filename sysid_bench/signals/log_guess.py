@@ -114,8 +114,7 @@ def guess_log(tables: _Tables, robot: RobotModel) -> LogGuess:
     joints = scalar_joints(robot)
     apart = _has_signal_per_file(tables)
     found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
-    tau, motion = found.get("tau"), [found[name].values for name in ("q", "v") if name in found]
-    if tau is not None and _is_acceleration(tau.values, [tau.values, *motion]):
+    if "tau" in found and _has_acceleration_as_torque(found):
         del found["tau"]
     if "q" not in found:
         raise _no_positions(tables, "tau" in found)
@@ -136,6 +135,11 @@ def _has_signal_per_file(tables: _Tables) -> bool:
     shared = [n for n, count in names.items() if count > 1 and not is_signal(n, "time")]
     timeless = [file for file, table in tables if column_names.time_column(table.names) is None]
     return len(tables) > 1 and bool(shared or timeless)
+
+
+def _has_acceleration_as_torque(found: Mapping[str, _Columns]) -> bool:
+    tau, motion = found["tau"], [found[name].values for name in ("q", "v") if name in found]
+    return _is_acceleration(tau.values, [tau.values, *motion])
 
 
 def _no_positions(tables: _Tables, has_torques: bool) -> UsageError:
