@@ -44,14 +44,7 @@ def base_table(
     [{terms, value}]} of an identification, or {row: value} with rows as they are printed here or
     by their first parameter; `missing` are the rows without a value. Raises UsageError.
     """
-    chosen = robot.manifest.terms if terms is None else tuple(terms)
-    unknowns = task_of(robot, "robot", chosen).parameters
-    usual = () if robot.manifest.paper is None else robot.manifest.paper.zero
-    left_out = usual if zero is None else tuple(zero)
-    for name in left_out:
-        if name not in unknowns:
-            raise unknown_name("parameter to be zero", name, unknowns)
-    parameters = tuple(name for name in _ordered(robot, unknowns) if name not in left_out)
+    parameters, left_out = _parameters(robot, terms, zero)
     base = base_map(structural_factor(robot, parameters), parameters)
     bodies = unknown_bodies(robot)
     rows = _rows(robot, base)
@@ -77,6 +70,20 @@ def base_table(
         "missing": [] if values is None else missing,
         "smallest_change": change,
     }
+
+
+def _parameters(
+    robot: RobotModel, terms: Sequence[str] | None, zero: Sequence[str] | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The parameters (p,) in the order of the paper, and those that are taken for zero."""
+    chosen = robot.manifest.terms if terms is None else tuple(terms)
+    unknowns = task_of(robot, "robot", chosen).parameters
+    usual = () if robot.manifest.paper is None else robot.manifest.paper.zero
+    left_out = usual if zero is None else tuple(zero)
+    for name in left_out:
+        if name not in unknowns:
+            raise unknown_name("parameter to be zero", name, unknowns)
+    return tuple(name for name in _ordered(robot, unknowns) if name not in left_out), left_out
 
 
 def _rows(robot: RobotModel, base: BaseMap) -> list[dict[str, Any]]:

@@ -55,21 +55,13 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     twice = sum(sum(row.status == "ok" for row in rows) > 1 for rows in candidates.values())
     if contradictions or changed:
         return MergeResult(None, len(candidates), len(planned), twice, contradictions, changed)
-    # The environment of the first run, and those of all as `machines`.
-    every = [folder.environment for folder in folders]
-    machines = [entry for env in every for entry in env.get("machines", [env])]
-    unique = list({canonical(machine): machine for machine in machines}.values())
-    folder = folders[0].write_plan(out, {**every[0], "machines": unique})
+    folder = folders[0].write_plan(out, _environment(folders))
     with folder.new_writer("merge") as writer:
         for cell in filter(candidates.__contains__, planned):
             # Only places are in memory; the rows of all runs together may be larger than it.
             best = min(candidates[cell], key=lambda row: _WORTH.index(row.status))
             writer.write(best.place.read())
-    for run in folders:  # the first run that has stored data of a cell gives them
-        for source in sorted((run.path / "artifacts").glob("*/paper")):
-            target = out / "artifacts" / source.parent.name / "paper"
-            if not target.exists():
-                shutil.copytree(source, target)
+    _copy_artifacts(folders, out)
     folder.write_frames()
     return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice)
 
@@ -89,6 +81,23 @@ def _same_plan(folders: Sequence[RunFolder]) -> tuple[str, ...]:
                 "suite."
             )
     return first.planned
+
+
+def _environment(folders: Sequence[RunFolder]) -> dict[str, Any]:
+    """Return the environment of the first run, with those of all as `machines`."""
+    every = [folder.environment for folder in folders]
+    machines = [entry for env in every for entry in env.get("machines", [env])]
+    unique = {canonical(machine): machine for machine in machines}
+    return {**every[0], "machines": list(unique.values())}
+
+
+def _copy_artifacts(folders: Sequence[RunFolder], out: Path) -> None:
+    """Copy the stored data of each cell from the first run that has them."""
+    for run in folders:
+        for source in sorted((run.path / "artifacts").glob("*/paper")):
+            target = out / "artifacts" / source.parent.name / "paper"
+            if not target.exists():
+                shutil.copytree(source, target)
 
 
 class _Candidate(NamedTuple):

@@ -145,6 +145,16 @@ class _Request:
             cells = tuple(cell for cell in cells if cell.experiment in own)
         return cells[: self.limit]
 
+    def open_cells(
+        self, cells: Iterable[Cell], stored: Mapping[str, Row], fingerprint: Callable[[Cell], str]
+    ) -> list[Cell]:
+        """Return the cells that have to run: without a row, or repeated."""
+        return [
+            cell
+            for cell in cells
+            if cell.id not in stored or self.is_repeated(cell, stored[cell.id], fingerprint)
+        ]
+
     def is_repeated(self, cell: Cell, row: Row, fingerprint: Callable[[Cell], str]) -> bool:
         """True for a cell that has to run though it has a row."""
         if self.rerun == "all":
@@ -202,11 +212,7 @@ def _run_selected(
     with folder.lock() as lock:
         # Read under the lock, which orphans of a killed run hold: nobody adds a row from here on.
         stored = folder.first_fields().rows
-        todo = [
-            cell
-            for cell in selected
-            if cell.id not in stored or request.is_repeated(cell, stored[cell.id], fingerprint)
-        ]
+        todo = request.open_cells(selected, stored, fingerprint)
         rows = (
             PlannedRow(cell, fingerprint(cell), stored.get(cell.id, {}).get("losses") or 0)
             for cell in todo
@@ -218,9 +224,8 @@ def _run_selected(
         ended = _compute(work, folder, executor, on_event)
         del work  # the jobs of a million cells: consolidation needs the memory
         folder.write_frames()
-        repeated = {cell.id for cell in todo}
-        same = (cell for cell in selected if cell.id not in repeated)
-        stale = sum(c.id in stored and is_stale(stored[c.id], fingerprint(c)) for c in same)
+        kept = {cell.id for cell in selected}.difference(cell.id for cell in todo)
+        stale = sum(is_stale(stored[c.id], fingerprint(c)) for c in selected if c.id in kept)
     notes = [stale_note(stale)] if stale else []
     if request.select and not selected:
         notes += folder.plan.unknown_values(request.select)
@@ -244,8 +249,8 @@ def _work(
     groups: dict[str, list[PlannedRow]] = {}
     for row in rows:
         groups.setdefault(row.cell.experiment, []).append(row)
-    jobs = []
-    for heads in groups.values():
+
+    def job(heads: Sequence[PlannedRow]) -> Job:
         cells = [row.cell for row in heads]
         argument = job_of(cells, suite, robots_dir, has_code) | {
             "fingerprints": {row.cell.id: row.fingerprint for row in heads},
@@ -253,10 +258,11 @@ def _work(
         }
         # A worker keeps models of a robot with its payload in memory from job to job.
         group = " ".join(cells[0].labels[key] for key in ("robot", "payload"))
-        jobs.append(Job(request.call, argument, tuple(heads), group))
+        return Job(request.call, argument, tuple(heads), group)
+
     limits = suite.run
     return Work(
-        jobs=jobs,
+        jobs=list(map(job, groups.values())),
         settings=WorkerSettings(
             folder=folder.path,
             timeout=_seconds(limits.timeout if request.timeout is None else request.timeout),
@@ -279,13 +285,6 @@ def job_of(
     Plug-in files and robots are found from the suite's folder; `labels` begin every row. `has_code`
     False: no plug-in of the suite is third-party, and none is looked for.
     """
-    papers: dict[str, list[dict[str, Any]]] = {cell.id: [] for cell in cells if suite.paper}
-    for entry, cell in product(suite.paper, cells):
-        flat, condition = fields(cell), entry.select and Expression.parse(entry.select)
-        # A condition on scores is open until the cell has run.
-        if not condition or not condition.fields <= set(flat) or condition.holds(flat):
-            shown = {"name": entry.name, "show": entry.show, "test": entry.test}
-            papers[cell.id].append(shown)
     argument: dict[str, Any] = {
         "experiment": cells[0].spec.to_json(),
         "seed": suite.seed,
@@ -301,7 +300,7 @@ def job_of(
             {"name": entry.metric.name, "spec": resolve_files(entry.spec, suite.folder)}
             for entry in suite.metric
         ],
-        "papers": papers,
+        "papers": _papers_of(cells, suite),
         "labels": {k: v for k, v in cells[0].first_fields.items() if k not in ("id", "estimator")},
         "crosscheck": {
             "tolerance": quantity(suite.crosscheck.tolerance, "1"),
@@ -312,6 +311,18 @@ def job_of(
     }
     code = third_party_parts(argument) if has_code else NO_PARTS
     return argument | {"third_party": dict(code)}
+
+
+def _papers_of(cells: Sequence[Cell], suite: Suite) -> dict[str, list[dict[str, Any]]]:
+    """Return the papers that may show a cell, by its id."""
+    papers: dict[str, list[dict[str, Any]]] = {cell.id: [] for cell in cells if suite.paper}
+    for entry, cell in product(suite.paper, cells):
+        flat, condition = fields(cell), entry.select and Expression.parse(entry.select)
+        # A condition on scores is open until the cell has run.
+        if not condition or not condition.fields <= set(flat) or condition.holds(flat):
+            shown = {"name": entry.name, "show": entry.show, "test": entry.test}
+            papers[cell.id].append(shown)
+    return papers
 
 
 def _compute(work: Work, folder: RunFolder, executor: Executor, on_event: OnEvent) -> RunEnd:

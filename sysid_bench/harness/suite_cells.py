@@ -179,21 +179,7 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     simulations, noises, pipelines = map(chain.from_iterable, of_plants)
     loads = [load for entry in suite.robot for load in entry.payloads]
     choices: dict[str, list[_Choice]] = {
-        "excitation": [_plugin_texts(entry.spec) for entry in axes.excitation],
-        "simulation": [_plugin_texts(entry.spec) for entry in simulations],
-        # Where no pipeline is named, it is one of those that may be chosen.
-        "pipeline": [
-            _plugin_texts(spec)
-            for entry in pipelines
-            for spec in (
-                [{"use": pipeline_choice.PLAIN}, {"use": pipeline_choice.DEFAULT}]
-                if entry is None
-                else [entry.spec]
-            )
-        ],
-        "plant": [_plant_texts(entry.spec) for entry in axes.plant],
-        "estimator": [_plugin_texts(entry.spec, entry.label) for entry in suite.estimator],
-        "task": [(task, *_plugin_label({"use": task})) for task in axes.task],
+        **_plugin_choices(suite, simulations, pipelines),
         "payload": [
             (normal_payload(load), names.payload(load).name, _table_text(load, "none"))
             for load in loads
@@ -201,7 +187,6 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         "noise": [],
         "prior": [],
         "robot": [],
-        "held_out": [],
     }
     for noise in map(written, noises):
         value = normal_noise(dict(noise))
@@ -215,11 +200,34 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         sensor = "" if entry.sensor is None else f" @ {entry.sensor}"
         key = _robot_key(source, entry.free_base, entry.sensor)
         choices["robot"].append((key, name + base, source + base + sensor))
+    return {axis: _unique_labels(texts) for axis, texts in choices.items()}
+
+
+def _plugin_choices(
+    suite: Suite, simulations: Iterable[Any], pipelines: Iterable[Any]
+) -> dict[str, list[_Choice]]:
+    """Return the choices of the axes whose values are plug-ins or lists of them."""
+    axes = suite.defaults
+    held_out: list[_Choice] = []
     for motions in axes.held_out:
         specs = [motion.spec for motion in motions]
         short, long = map(", ".join, zip(*map(_plugin_label, specs), strict=True))
-        choices["held_out"].append((specs, short, long))
-    return {axis: _unique_labels(texts) for axis, texts in choices.items()}
+        held_out.append((specs, short, long))
+    # Where no pipeline is named, it is one of those that may be chosen.
+    unnamed = [{"use": pipeline_choice.PLAIN}, {"use": pipeline_choice.DEFAULT}]
+    return {
+        "excitation": [_plugin_texts(entry.spec) for entry in axes.excitation],
+        "simulation": [_plugin_texts(entry.spec) for entry in simulations],
+        "pipeline": [
+            _plugin_texts(spec)
+            for entry in pipelines
+            for spec in (unnamed if entry is None else [entry.spec])
+        ],
+        "plant": [_plant_texts(entry.spec) for entry in axes.plant],
+        "estimator": [_plugin_texts(entry.spec, entry.label) for entry in suite.estimator],
+        "task": [(task, *_plugin_label({"use": task})) for task in axes.task],
+        "held_out": held_out,
+    }
 
 
 def _robot_key(source: str, free_base: bool | None, sensor: str | None) -> Any:

@@ -245,18 +245,16 @@ def update_of(changes: RunDifference) -> Update:
     done = {name for name, cell in now.cells.items() if not cell.is_open}
     ran = [name for name, was in old.cells.items() if was.is_open and name in done]
     settings = [key for key in now.parameters if key not in old.parameters]
-    timed = _timed_robots(changes) if now.speeds else set[str]()
-    speeds = {key: speed for key, speed in now.speeds.items() if key[0] in timed}
-    gone = [key for key in old.speeds if key[0] in timed and key not in speeds]
+    speeds, timed = _updated_speeds(changes)
     listed = (changes.cells, changes.parameters, changes.appeared, changes.vanished, ran, settings)
-    taken = sum(map(len, (*listed, speeds, gone)))
+    taken = sum(map(len, listed)) + timed
     run = replace(
         old,
         axes=now.axes,
         cells=_updated_cells(changes, {*changes.appeared, *ran}),
         parameters=_parameters(changes),
         origin=now.origin if taken else old.origin,
-        speeds={key: speed for key, speed in old.speeds.items() if key[0] not in timed} | speeds,
+        speeds=speeds,
     )
     return Update(run, taken)
 
@@ -295,6 +293,16 @@ def _parameters(changes: RunDifference) -> dict[Key, Mapping[str, float]]:
         else:
             values[change.parameter] = change.after
     return {key: values for key, values in found.items() if key[0] in robots}
+
+
+def _updated_speeds(changes: RunDifference) -> tuple[dict[Key, Speed], int]:
+    """The speeds after the update, and how many of them were taken over or vanished."""
+    old, now = changes.before.speeds, changes.after.speeds
+    timed = _timed_robots(changes) if now else set[str]()
+    kept = {key: speed for key, speed in old.items() if key[0] not in timed}
+    taken = {key: speed for key, speed in now.items() if key[0] in timed}
+    gone = [key for key in old if key[0] in timed and key not in taken]
+    return kept | taken, len(taken) + len(gone)
 
 
 def _timed_robots(changes: RunDifference) -> set[str]:

@@ -120,32 +120,15 @@ def find_difference(
     # Speeds are undecided for robots that have not the same cells in both runs.
     robots = {robot for robot, _ in before.speeds}
     differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
-    # What differs in the true base parameters of the settings that both have.
-    parameters = []
-    for key, was in before.parameters.items():
-        if (now := after.parameters.get(key)) is None:
-            continue
-        largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
-        # Below this share of the robot's largest parameter both are rounding.
-        same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
-        for name in dict.fromkeys((*was, *now)):
-            a, b = was.get(name), now.get(name)
-            if a is None or b is None or not same.holds(a, b):
-                parameters.append(ParameterChange(*key, name, a, b))
-    old, new = _flat_origin(before.origin), _flat_origin(after.origin)
     return RunDifference(
         before=before,
         after=after,
         cells=tuple(_cell_changes(before, after, ran, tolerances or {})),
-        parameters=tuple(parameters),
+        parameters=tuple(_parameter_changes(before, after)),
         appeared=_missing(after.cells, before.cells),
         vanished=() if partial else _missing(before.cells, after.cells),
         open=() if partial else tuple(sorted({*both} - {*ran})),
-        origin=tuple(
-            (name, old.get(name, "-"), new.get(name, "-"))
-            for name in dict.fromkeys((*old, *new))
-            if old.get(name) != new.get(name)
-        ),
+        origin=tuple(_origin_changes(before, after)),
         speeds=tuple(compare_speed(before.speeds, after.speeds, differing)),
     )
 
@@ -180,9 +163,31 @@ def _cell_changes(
                 yield Change(cell, metric.name, *pair, verdict, str(tolerance))
 
 
+def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[ParameterChange]:
+    """Yield what differs in the true base parameters of the settings that both have."""
+    for key, was in before.parameters.items():
+        if (now := after.parameters.get(key)) is None:
+            continue
+        largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
+        # Below this share of the robot's largest parameter both are rounding.
+        same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
+        for name in dict.fromkeys((*was, *now)):
+            a, b = was.get(name), now.get(name)
+            if a is None or b is None or not same.holds(a, b):
+                yield ParameterChange(*key, name, a, b)
+
+
 def _places(name: str, before: RunValues, after: RunValues) -> tuple[int, int]:
     """Return where the values of a metric stand in the cells of two runs."""
     return [*before.metrics].index(name), [*after.metrics].index(name)
+
+
+def _origin_changes(before: RunValues, after: RunValues) -> Iterator[tuple[str, str, str]]:
+    """Yield (name, before, after) of what differs in the origins, "-" where a run lacks it."""
+    old, new = _flat_origin(before.origin), _flat_origin(after.origin)
+    for name in dict.fromkeys((*old, *new)):
+        if old.get(name) != new.get(name):
+            yield name, old.get(name, "-"), new.get(name, "-")
 
 
 def _flat_origin(origin: Mapping[str, Any]) -> dict[str, str]:

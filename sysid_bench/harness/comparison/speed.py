@@ -121,15 +121,18 @@ def compare_speed(
         replace(change, verdict="undecided") if change.robot in unknown else change
         for change in _relative(logs, noise)
     ]
+    return [*_pooled(known), *single]
+
+
+def _pooled(changes: Iterable[SpeedChange]) -> Iterator[SpeedChange]:
+    """Yield the mean change of each part over the robots."""
     by_part: dict[str, list[SpeedChange]] = {}
-    for change in known:
+    for change in changes:
         by_part.setdefault(change.part, []).append(change)
-    pooled = []
     for part, found in by_part.items():
         mean = float(np.mean([math.log(change.factor) for change in found]))
         error = _mean_noise(change.noise for change in found)
-        pooled.append(_change(ALL, part, mean, error, SIGMAS_POOLED))
-    return [*pooled, *single]
+        yield _change(ALL, part, mean, error, SIGMAS_POOLED)
 
 
 def _relative(logs: Mapping[Key, float], noise: Mapping[Key, float]) -> Iterator[SpeedChange]:

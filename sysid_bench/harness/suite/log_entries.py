@@ -38,7 +38,7 @@ from sysid_bench.harness.suite.data_entries import (
     check_task,
     check_term,
 )
-from sysid_bench.models.data_sets import SCHEME, find_dataset, find_motion
+from sysid_bench.models.data_sets import SCHEME, DataSet, find_dataset, find_motion
 from sysid_bench.plugin_names import known
 from sysid_bench.signals.log_description import log_description, name_of
 from sysid_bench.signals.log_keys import ControllerKeys
@@ -183,15 +183,7 @@ def _tables_of_set(
     described = find_dataset(source, check_input(info).folder).described
     place = f"{SCHEME}{source}"
     keys = {key: value for key, value in written.items() if key != DATASET}
-    accept = list(dict.fromkeys([*list_values(keys.get("accept", ())), *described.accept]))
-    # Rows of data sets have one label: their robot is that of the set.
-    common = {"name": "training motions", **keys, "robot": place, "accept": accept}
-    if described.pipeline is not None and "pipeline" in keys:
-        own, use = described.pipeline, described.pipeline["use"]
-        named = list_of(keys["pipeline"])
-        common["pipeline"] = [own if one in (use, {"use": use}) else one for one in named]
-    if described.choose:
-        common["choose"] = _with_terms(keys.get("choose", []), described.choose)
+    common = _common_keys(keys, place, described)
     if keys.get("task") != "payload":
         # The label of a test says how it is related to the training.
         test = [
@@ -210,6 +202,20 @@ def _tables_of_set(
         }
         for pair in described.payload
     ]
+
+
+def _common_keys(keys: Mapping[str, Any], place: str, described: DataSet) -> dict[str, Any]:
+    """The keys that all tables of a data set have: those written, with what the set says."""
+    accept = list(dict.fromkeys([*list_values(keys.get("accept", ())), *described.accept]))
+    # Rows of data sets have one label: their robot is that of the set.
+    common = {"name": "training motions", **keys, "robot": place, "accept": accept}
+    if described.pipeline is not None and "pipeline" in keys:
+        own, use = described.pipeline, described.pipeline["use"]
+        named = list_of(keys["pipeline"])
+        common["pipeline"] = [own if one in (use, {"use": use}) else one for one in named]
+    if described.choose:
+        common["choose"] = _with_terms(keys.get("choose", []), described.choose)
+    return common
 
 
 def _with_terms(written: Any, terms: Sequence[str]) -> Any:
