@@ -101,18 +101,23 @@ def lock_joints(spec: mujoco.MjSpec, mj: mujoco.MjModel, where: Mapping[str, flo
                     f"Joint {name!r} shares its body with others and can be locked at its "
                     f"reference {reference:.4g} alone."
                 )
-            origin, quaternion = np.array(mj.body_pos[body.id]), np.array(mj.body_quat[body.id])
-            axis, R = np.array(mj.jnt_axis[j]), matrix_of_quaternion(quaternion)
-            if kind == HINGE:
-                turn, anchor = quaternion_of_rotation(axis * displacement), np.array(mj.jnt_pos[j])
-                # The anchor stays where it is; the body frame turns about it.
-                body.pos = origin + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
-                body.quat = composed_rotation(quaternion, turn)
-            else:
-                body.pos, body.quat = origin + R @ axis * displacement, quaternion
-            # Else euler or axisangle in the text of the model would win over quat.
-            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+            _displace(body, mj, j, displacement)
         spec.delete(joint)
+
+
+def _displace(body: mujoco.MjsBody, mj: mujoco.MjModel, j: int, displacement: float) -> None:
+    """Move a body by its hinge or slide j (rad, m)."""
+    origin, quaternion = np.array(mj.body_pos[body.id]), np.array(mj.body_quat[body.id])
+    axis, R = np.array(mj.jnt_axis[j]), matrix_of_quaternion(quaternion)
+    if int(mj.jnt_type[j]) == HINGE:
+        turn, anchor = quaternion_of_rotation(axis * displacement), np.array(mj.jnt_pos[j])
+        # The anchor stays where it is; the body frame turns about it.
+        body.pos = origin + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
+        body.quat = composed_rotation(quaternion, turn)
+    else:
+        body.pos, body.quat = origin + R @ axis * displacement, quaternion
+    # Else euler or axisangle in the text of the model would win over quat.
+    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
 def _uncouple(spec: mujoco.MjSpec, mj: mujoco.MjModel, locked: set[str]) -> None:
