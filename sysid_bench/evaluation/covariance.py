@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.intervals import StandardError, coverage_factor, jackknife
@@ -28,6 +27,7 @@ from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.cross_validation import time_blocks
 from sysid_bench.identification.linear.least_squares import (
     data_rank,
+    inverse_of,
     residual_norm,
     solve_factor,
     stacked_factor,
@@ -80,7 +80,7 @@ def motion_fit(problem: Problem, estimate: Estimate) -> MotionFit | str:
     for index, motion in enumerate(problem.motions):
         R = qr_factor(factor for i, factor in enumerate(factors) if i != index)
         r = R.shape[1] - 1
-        if not bool(data_rank(R[:r, :r]) == r):
+        if data_rank(R[:r, :r]) < r:
             return f"motion {index + 1} alone excites some parameter"
         betas.append(solve_factor(R))
         errors.append(
@@ -169,8 +169,7 @@ class ResidualScore:
 
 def residual_score(problem: Problem, beta: Array, sigma: Array) -> ResidualScore:
     """Return the scores of a fit `beta` (r,) with rows divided by `sigma` (rows,)."""
-    R = stacked_factor(problem, (1 / sigma).tolist())[:-1, :-1]
-    inverse = solve_triangular(R, np.eye(len(R)))
+    inverse = inverse_of(stacked_factor(problem, (1 / sigma).tolist()))
     # The residual enters with 1 / sigma^2: once by the weighted row, once by the weighted residual.
     forces = [np.einsum("nir,ni->nr", Y, (b - Y @ beta) / sigma**2) for Y, b in problem.blocks()]
     return ResidualScore(inverse, np.concatenate(forces) @ inverse)

@@ -277,6 +277,12 @@ def limit_commands(
                 "hot": drive.rated is not None and rms > drive.rated,
             }
         )
+    _check_clamped(report, most)
+    return inside, report
+
+
+def _check_clamped(report: list[dict[str, Any]], most: float) -> None:
+    """Refuse commands of which a joint has a larger share clamped than `most`."""
     worst = max(report, key=lambda entry: max(entry["clamped"].values()))
     signal, share = max(worst["clamped"].items(), key=itemgetter(1))
     if share > most:
@@ -286,7 +292,6 @@ def limit_commands(
             f"its motor, more than {most:.1%}. Clamping changes the motion: design it within these "
             "limits (--limit), or allow a larger share (--clamp)."
         )
-    return inside, report
 
 
 def _frames(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:

@@ -93,10 +93,7 @@ def structural_subspaces(
         torques[base] = basis @ factors.span(proximal)
     joints = {row: basis @ factors.span_of_drive(i) for i, row in enumerate(factors.drives.rows)}
     # Components of the wrench are those in the sensor frame, not at the root.
-    to_sensor = np.zeros((6, 6))
-    to_sensor[:3, :3] = to_sensor[3:, 3:] = cut.R.T
-    to_sensor[:3, 3:] = -cut.R.T @ skew(cut.p)
-    components = to_sensor @ subtree.wrench_transform(robot.body_names[cut.body]) @ Y_n
+    components = _to_sensor(cut) @ subtree.wrench_transform(robot.body_names[cut.body]) @ Y_n
     return Subspaces(
         columns=subtree.columns,
         wrench=basis @ wrench,
@@ -109,6 +106,14 @@ def structural_subspaces(
         singular_values=values,
         partial=factors.drives.partial,
     )
+
+
+def _to_sensor(cut: SensorSubtree) -> Array:
+    """Transform (6, 6) of wrenches from the frame of the sensor's body to that of the sensor."""
+    X = np.zeros((6, 6))
+    X[:3, :3] = X[3:, 3:] = cut.R.T
+    X[:3, 3:] = -cut.R.T @ skew(cut.p)
+    return X
 
 
 def floating_subtree_states(robot: RobotModel, cut: SensorSubtree) -> SubtreeRegressor:

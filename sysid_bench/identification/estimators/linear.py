@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import pinv, qr, solve_triangular
+from scipy.linalg import pinv, qr
 from scipy.special import fdtri
 
 from sysid_bench.errors import EstimationError, UnsupportedError
@@ -41,11 +41,10 @@ class OLS:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
         every direction."""
         R = stacked_factor(problem)
-        r = problem.base.rank
         beta = solve(R)
-        freedom = equations(problem) - r
+        freedom = equations(problem) - problem.base.rank
         squares = float((residual_norm(problem, beta) ** 2).sum())
-        inverse = solve_triangular(R[:r, :r], np.eye(r))
+        inverse = inverse_of(R)
         variance = squares / max(freedom, 1)
         sigma = np.ones(len(problem.rows))
         return Estimate(beta, covariance=variance * inverse @ inverse.T, sigma=sigma)
