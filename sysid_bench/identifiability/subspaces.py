@@ -80,12 +80,8 @@ def structural_subspaces(
     Y_n = subtree.Y_n @ basis
     wrench, values = row_space(Y_n)[0], row_space(subtree.Y_n)[1]
     factors = _DriveFactors(subtree, Y_n, subtree.Y_c @ basis)
-    if bases is None:
-        # Bodies that joints move, the sensor's first; welded ones add no information.
-        moving = {cut.body, *(link.body for link in robot.tree.links)}
-        bases = tuple(robot.body_names[b] for b in cut.bodies if b in moving)
     wrenches, torques = {}, {}
-    for base in bases:
+    for base in _moved_bodies(robot, cut) if bases is None else bases:
         wrenches[base] = basis @ row_space(subtree.wrench_transform(base) @ Y_n)[0]
         # Degrees of freedom between the world and the base.
         link = int(robot.tree.carrier[robot.body_names.index(base)])
@@ -106,6 +102,12 @@ def structural_subspaces(
         singular_values=values,
         partial=factors.drives.partial,
     )
+
+
+def _moved_bodies(robot: RobotModel, cut: SensorSubtree) -> tuple[str, ...]:
+    """Bodies that joints move, the sensor's first; welded ones add no information."""
+    moving = {cut.body, *(link.body for link in robot.tree.links)}
+    return tuple(robot.body_names[b] for b in cut.bodies if b in moving)
 
 
 def _to_sensor(cut: SensorSubtree) -> Array:
