@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
+from types import NoneType
 from typing import Any, Final
 
 
@@ -17,7 +18,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, float):  # of a subclass such as numpy.float64, too
         # JSON has no NaN, and other readers than Python's refuse the word.
         return float(value) if math.isfinite(value) else None
-    if value is None or isinstance(value, int):
+    if isinstance(value, (int, NoneType)):
         return value
     if isinstance(value, str):
         # Undecodable file names hold halves of surrogate pairs, which are not UTF-8.

@@ -352,14 +352,7 @@ def plugin_settings(plugin: str, make: Any, given: Mapping[str, Any]) -> dict[st
     for key in given:
         if key not in parameters and inspect.Parameter.VAR_KEYWORD not in kinds:
             raise unknown_name(f"setting of the {plugin}", key, parameters)
-    variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
-    missing = [
-        key
-        for key, parameter in parameters.items()
-        if parameter.default is inspect.Parameter.empty
-        and parameter.kind not in variadic
-        and key not in given
-    ]
+    missing = [key for key, one in parameters.items() if _is_required(one) and key not in given]
     if missing:
         raise UsageError(f"{plugin} needs the settings {', '.join(missing)}.")
     fields, settings = plugin_fields(make), dict(given)
@@ -369,6 +362,11 @@ def plugin_settings(plugin: str, make: Any, given: Mapping[str, Any]) -> dict[st
         except UsageError as error:
             raise UsageError(f"{plugin}, {key}: {error}") from error
     return settings
+
+
+def _is_required(parameter: inspect.Parameter) -> bool:
+    variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+    return parameter.default is inspect.Parameter.empty and parameter.kind not in variadic
 
 
 def plugin_fields(make: Any) -> dict[str, _SettingField]:

@@ -106,11 +106,16 @@ def copied_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
                         edit=f"{'tau' if kind == 'torque' else 'q'} = {{ columns = [...] }}: one "
                         "column a joint",
                     )  # fmt: skip
+    yield from _copied_accelerations(evidence)
+
+
+def _copied_accelerations(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield torques that are all their joints' accelerations times one factor, unless those of the
+    model file are."""
     a, tau = evidence.motion.a, evidence.torque
     moving = (np.ptp(a, axis=0) > 0) & (np.ptp(tau, axis=0) > 0)
     if not moving.any() or not _is_common(a[:, moving], tau[:, moving]):
         return
-    # All torques are their joints' accelerations times one factor: those of the model file may be.
     motion, _ = evidence.fit_samples
     model = evidence.regressor(motion) @ evidence.file_parameters.ravel()
     # A model without inertias says nothing, and neither does a single joint then.

@@ -142,12 +142,7 @@ def torque_delay(evidence: DiagnoseInput) -> Iterator[Finding]:
 def _delay(own: JointRows, j: int, lags: Array) -> Iterator[Finding]:
     """Yield the finding of a joint whose residual is smallest at one of the lags, in samples."""
     shifted, rows = own.evidence.torque_with_delay(j, lags, own.rows)
-    q, v = own.motion.q[:, j], own.motion.v[:, j]
-    scale, reach = float(np.sqrt((v**2).mean())) or 1.0, (float(q.min()), float(q.max()))
-    # Play and smooth friction lag the sign of v: without their columns they would be delays.
-    smooth = [np.tanh(v / (width * scale)) for width in SMOOTH]
-    friction = np.column_stack([*smooth, *(Play(width).values(q, v, reach) for width in WIDTHS)])
-    X = np.column_stack([own.columns(j), friction])[rows]
+    X = np.column_stack([own.columns(j), _late_friction(own, j)])[rows]
     X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
     H = X.T @ X + 1e-9 * np.eye(X.shape[1])
     residual = np.asarray((shifted - X @ np.linalg.solve(H, X.T @ shifted)) ** 2)
@@ -175,12 +170,21 @@ def _delay(own: JointRows, j: int, lags: Array) -> Iterator[Finding]:
     )  # fmt: skip
 
 
+def _late_friction(own: JointRows, j: int) -> Array:
+    """Columns (N, k) of play and smooth friction, which lag the sign of v: without them they would
+    be delays."""
+    q, v = own.motion.q[:, j], own.motion.v[:, j]
+    scale, reach = float(np.sqrt((v**2).mean())) or 1.0, (float(q.min()), float(q.max()))
+    smooth = [np.tanh(v / (width * scale)) for width in SMOOTH]
+    return np.column_stack([*smooth, *(Play(width).values(q, v, reach) for width in WIDTHS)])
+
+
 def joints_without_fit(evidence: DiagnoseInput) -> Iterator[Finding]:
     """Yield joints whose torque, in parts of time left out of the fit, friction and offset explain
     as well as the whole model: a doubt where the model file explains little as well."""
     own = JointRows(evidence)
     near = first_hypothesis(evidence).fit.residual
-    joints = [j for j in range(evidence.count) if evidence.rms[j] > 0]
+    joints: list[int] = np.flatnonzero(evidence.rms > 0).tolist()
     alone = {j: own.left_out_error(own.friction(j), j) for j in joints}
     poor = [j for j in joints if own.left_out_error(own.columns(j), j) >= alone[j] > 0]
     unknown = [j for j in poor if min(np.sqrt(alone[j]) / evidence.rms[j], near[j]) > UNEXPLAINED]

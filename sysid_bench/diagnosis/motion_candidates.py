@@ -75,11 +75,14 @@ def encoder_offset(before: Hypothesis) -> Iterator[Candidate]:
                 yield candidate
                 if best is None or candidate.hypothesis.fit.cost < best[0].hypothesis.fit.cost:
                     best = candidate, offset
-    if best is None:
-        return
+    if best is not None:
+        yield from _searched(before, *best)
+
+
+def _searched(before: Hypothesis, start: Candidate, offset: float) -> Iterator[Candidate]:
+    """Yield the candidate of the least cost near a start, if it is another one."""
     # Torques are not linear in a large offset, and the first step misses the minimum of the cost.
-    (start, offset), (j,) = best, best[0].joints
-    candidate = start
+    candidate, (j,) = start, start.joints
     for _ in range(STEPS):
         step = float(_small_offsets(candidate.hypothesis, (j,))[0])
         moved = _moved(before, j, offset + step)

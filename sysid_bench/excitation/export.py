@@ -180,18 +180,7 @@ def _drive(joint: str, number: int, settings: Mapping[str, Any]) -> DamiaoDrive:
     if name not in MOTORS:
         raise unknown_name("Damiao motor", name, MOTORS)
     motor = MOTORS[name]
-    # Physical limits as given by the user, else as published.
-    usual = {"v": motor.speed, "tau": motor.torque, "share": _SHARE}
-    usual |= {"pmax": motor.scaling.p, "vmax": motor.scaling.v, "tmax": motor.scaling.tau}
-    known = {key: settings.get(key, value) for key, value in usual.items()}
-    if known["v"] is None or known["tau"] is None:
-        raise UsageError(
-            f"The manufacturer publishes no physical limits of {name} (joint {joint!r}); give "
-            "them: v = rad/s and tau = N m. The scaling of its frames is not a limit."
-        )
-    for key, value in known.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
-            raise UsageError(f"{joint!r}: {key} must be a positive number; got {value!r}.")
+    known = _known_limits(joint, name, settings)
     p, v, tau = (float(known[key]) for key in ("pmax", "vmax", "tmax"))
     kp, kd = (float(settings.get(key, default)) for key, default in (("kp", 20.0), ("kd", 1.0)))
     _check_address(joint, kp, kd, settings.get("id", number))
@@ -208,6 +197,23 @@ def _drive(joint: str, number: int, settings: Mapping[str, Any]) -> DamiaoDrive:
         torque=min(known["share"] * float(known["tau"]), tau),
         rated=motor.rated,
     )
+
+
+def _known_limits(joint: str, name: str, settings: Mapping[str, Any]) -> dict[str, float]:
+    """Return limits, their share and scaling of a motor as given by the user, else as published."""
+    motor = MOTORS[name]
+    usual = {"v": motor.speed, "tau": motor.torque, "share": _SHARE}
+    usual |= {"pmax": motor.scaling.p, "vmax": motor.scaling.v, "tmax": motor.scaling.tau}
+    known = {key: settings.get(key, value) for key, value in usual.items()}
+    if known["v"] is None or known["tau"] is None:
+        raise UsageError(
+            f"The manufacturer publishes no physical limits of {name} (joint {joint!r}); give "
+            "them: v = rad/s and tau = N m. The scaling of its frames is not a limit."
+        )
+    for key, value in known.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+            raise UsageError(f"{joint!r}: {key} must be a positive number; got {value!r}.")
+    return known
 
 
 def _check_address(joint: str, kp: float, kd: float, identifier: Any) -> None:
@@ -277,6 +283,12 @@ def limit_commands(
                 "hot": drive.rated is not None and rms > drive.rated,
             }
         )
+    _check_clamped(report, most)
+    return inside, report
+
+
+def _check_clamped(report: list[dict[str, Any]], most: float) -> None:
+    """Refuse commands of which a joint has a larger share clamped than `most`."""
     worst = max(report, key=lambda entry: max(entry["clamped"].values()))
     signal, share = max(worst["clamped"].items(), key=itemgetter(1))
     if share > most:
@@ -286,7 +298,6 @@ def limit_commands(
             f"its motor, more than {most:.1%}. Clamping changes the motion: design it within these "
             "limits (--limit), or allow a larger share (--clamp)."
         )
-    return inside, report
 
 
 def _frames(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:

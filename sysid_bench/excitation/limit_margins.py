@@ -58,17 +58,7 @@ def limit_margins(motion: Trajectory, robot: RobotModel) -> Margins:
     v, a = step * motion.v, step**2 * motion.a
     ends = np.array([q[:-1], moves, v[:-1], v[1:], a[:-1], a[1:]])
     ends[0] -= centre[0]
-    size, place = np.abs(ends[[0, 2, 4]]).max(axis=1), np.abs(ends[[0, 2, 4]]).argmax(axis=1)
-    for start in range(0, ends.shape[1], CHUNK):
-        part = ends[:, start : start + CHUNK]
-        for share, weights in _WEIGHTS.items():
-            values = np.tensordot(weights, part, axes=1)  # (6, n, nv): quintic, cubics
-            np.abs(values, out=values)
-            between = np.minimum(values[:3], values[3:], out=values[:3])
-            k = between.argmax(axis=1)
-            found = np.take_along_axis(between, k[:, None], axis=1)[:, 0]
-            place = np.where(found > size, start + k + share, place)
-            size = np.maximum(found, size)
+    size, place = _largest_values(ends)
     # A limit of zero is kept by zero alone, an infinite one by all.
     allowed = np.maximum(reach * step ** np.arange(3)[:, None], np.finfo(float).tiny)
     # Largest shares of the limits (3, nv), 0 without a limit, and their times (s).
@@ -84,6 +74,23 @@ def limit_margins(motion: Trajectory, robot: RobotModel) -> Margins:
             f"{100 * (use[kind, dof] - 1):.3g} % at {time[kind, dof]:.4g} s"
         )
     return Margins(q=left[0], v=left[1], a=left[2], broken=broken)
+
+
+def _largest_values(ends: Array) -> tuple[Array, Array]:
+    """Largest absolute position, velocity and acceleration (3, nv) in steps with these ends, and
+    their places in steps from the start."""
+    size, place = np.abs(ends[[0, 2, 4]]).max(axis=1), np.abs(ends[[0, 2, 4]]).argmax(axis=1)
+    for start in range(0, ends.shape[1], CHUNK):
+        part = ends[:, start : start + CHUNK]
+        for share, weights in _WEIGHTS.items():
+            values = np.tensordot(weights, part, axes=1)  # (6, n, nv): quintic, cubics
+            np.abs(values, out=values)
+            between = np.minimum(values[:3], values[3:], out=values[:3])
+            k = between.argmax(axis=1)
+            found = np.take_along_axis(between, k[:, None], axis=1)[:, 0]
+            place = np.where(found > size, start + k + share, place)
+            size = np.maximum(found, size)
+    return size, place
 
 
 def check_limits(margins: Margins, origin: str) -> None:

@@ -55,10 +55,6 @@ def cell_data(argument: Mapping[str, Any], row: Row) -> CellData:
         estimate = identify(method, problem, prepared.experiment)
     except Exception as error:  # of a plug-in: the picture shows the data without an estimate
         estimate = Estimate(status="failed", reason=f"{type(error).__name__}: {error}")
-    beta, predicted = base_parameters(estimate), None
-    if beta is not None:  # torque (N, rows) of the estimate and of the known parts
-        blocks = prepared.experiment.regress(recording.motion)
-        predicted = np.concatenate([block @ beta for block in blocks]) + prepared.source.known
     gap_map, gap_columns = _gap(loaded, prepared)
     positions, quaternions = body_frames(model, recording.motion.q)
     r, signals = problem.base.rank, (*model.torque_rows, *recording.wrench_rows)
@@ -66,7 +62,7 @@ def cell_data(argument: Mapping[str, Any], row: Row) -> CellData:
         row=row,
         motion=recording.motion,
         measured=measured_signals(recording)[:, [signals.index(name) for name in problem.rows]],
-        predicted=predicted,
+        predicted=_predicted(prepared, estimate),
         rows=problem.rows,
         singular_values=np.linalg.svd(stacked_factor(problem)[:r, :r], compute_uv=False),
         gap_map=gap_map,
@@ -82,6 +78,16 @@ def cell_data(argument: Mapping[str, Any], row: Row) -> CellData:
         curves=estimate_curves(prepared),
         joints={j.dofs[0]: (j.qadr, j.vadr) for j in model.joints if len(j.dofs) == 1},
     )
+
+
+def _predicted(prepared: ExperimentData[SimulatedSource], estimate: Estimate) -> Array | None:
+    """Torque (N, rows) of the estimate and of the known parts; None without an estimate."""
+    beta = base_parameters(estimate)
+    if beta is None:
+        return None
+    blocks = prepared.experiment.regress(prepared.experiment.recording.motion)
+    predicted: Array = np.concatenate([block @ beta for block in blocks]) + prepared.source.known
+    return predicted
 
 
 def _gap(

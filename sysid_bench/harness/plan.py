@@ -87,12 +87,7 @@ def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = Fa
     if not large:
         check_size(suite)
     cells = suite_cells(suite, names or default_names())
-    methods = sorted({cell.labels["estimator"] for cell in cells})
-    for entry in suite.ranking:
-        for method in (entry.against, *entry.family):
-            if method not in methods:
-                where = f"The ranking {entry.name!r} names it as its reference or in its family."
-                raise unknown_name("estimator of this suite", method, methods, where)
+    _check_rankings(suite, cells)
     rules = [(Expression.parse(rule.when), rule.reason) for rule in suite.exclude]
     kept, excluded = [], {reason: 0 for _, reason in rules}
     for cell in cells:
@@ -108,6 +103,16 @@ def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = Fa
         unique.setdefault(cell.id, cell)
     ordered = tuple(unique.values())
     return Plan(ordered, excluded, tuple(_notes(suite, kept, ordered)))
+
+
+def _check_rankings(suite: Suite, cells: Iterable[Cell]) -> None:
+    """Raise UsageError for a ranking with an unknown reference or member of its family."""
+    methods = sorted({cell.labels["estimator"] for cell in cells})
+    for entry in suite.ranking:
+        for method in (entry.against, *entry.family):
+            if method not in methods:
+                where = f"The ranking {entry.name!r} names it as its reference or in its family."
+                raise unknown_name("estimator of this suite", method, methods, where)
 
 
 def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterator[str]:

@@ -16,6 +16,7 @@ from scipy.linalg import qr, solve_triangular
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, instruments_of
+from sysid_bench.models.tree import Tree
 from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.types import Array, BaseMap, Trajectory
@@ -177,22 +178,12 @@ def structural_count(robot: RobotModel) -> tuple[int, int]:
     return base_count(structural_factor(robot, robot.inertial_columns))
 
 
-def structural_factor(
-    robot: RobotModel,
-    parameters: tuple[str, ...],
-    rows: tuple[str, ...] | None = None,
-    cuts: tuple[SensorSubtree, ...] = (),
-    appended: Callable[[Trajectory], Array] | None = None,
-) -> Array:
-    """Return the R factor (m, p) of the regressor over random states, whose row space is that of
-    all motions.
-
-    `appended(motion)` returns k further columns (N, rows, k): then R is (m, p + k).
-    """
-    instruments = instruments_of(robot, cuts)
-    tree = instruments.tree
-    # Names of m columns that span all p, and the coefficients X (m, p). Bodies welded to a link
-    # act through the link's ten parameters, so that m does not grow with their number.
+def _carried_columns(
+    robot: RobotModel, tree: Tree, parameters: tuple[str, ...]
+) -> tuple[tuple[str, ...], Array]:
+    """Return the names of m columns that span all p parameters, and the coefficients X (m, p).
+    Bodies welded to a link act through the link's ten parameters, so that m does not grow with
+    their number."""
     index = {name: j for j, name in enumerate(robot.inertial_columns)}
     weights: dict[str, Array] = {}
     for j, name in enumerate(parameters):
@@ -206,7 +197,23 @@ def structural_factor(
             acting = {robot.inertial_columns[first + k]: float(column[k]) for k in nonzero}
         for column, weight in acting.items():
             weights.setdefault(column, np.zeros(len(parameters)))[j] = weight
-    carried, X = tuple(weights), np.array([*weights.values()]).reshape(-1, len(parameters))
+    return tuple(weights), np.array([*weights.values()]).reshape(-1, len(parameters))
+
+
+def structural_factor(
+    robot: RobotModel,
+    parameters: tuple[str, ...],
+    rows: tuple[str, ...] | None = None,
+    cuts: tuple[SensorSubtree, ...] = (),
+    appended: Callable[[Trajectory], Array] | None = None,
+) -> Array:
+    """Return the R factor (m, p) of the regressor over random states, whose row space is that of
+    all motions.
+
+    `appended(motion)` returns k further columns (N, rows, k): then R is (m, p + k).
+    """
+    instruments = instruments_of(robot, cuts)
+    carried, X = _carried_columns(robot, instruments.tree, parameters)
     columns = measured_regression(robot, carried, instruments, rows)
     available = instruments.measured
     measured = [available.index(row) for row in (available if rows is None else rows)]

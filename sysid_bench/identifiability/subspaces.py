@@ -80,12 +80,8 @@ def structural_subspaces(
     Y_n = subtree.Y_n @ basis
     wrench, values = row_space(Y_n)[0], row_space(subtree.Y_n)[1]
     factors = _DriveFactors(subtree, Y_n, subtree.Y_c @ basis)
-    if bases is None:
-        # Bodies that joints move, the sensor's first; welded ones add no information.
-        moving = {cut.body, *(link.body for link in robot.tree.links)}
-        bases = tuple(robot.body_names[b] for b in cut.bodies if b in moving)
     wrenches, torques = {}, {}
-    for base in bases:
+    for base in _moved_bodies(robot, cut) if bases is None else bases:
         wrenches[base] = basis @ row_space(subtree.wrench_transform(base) @ Y_n)[0]
         # Degrees of freedom between the world and the base.
         link = int(robot.tree.carrier[robot.body_names.index(base)])
@@ -93,10 +89,7 @@ def structural_subspaces(
         torques[base] = basis @ factors.span(proximal)
     joints = {row: basis @ factors.span_of_drive(i) for i, row in enumerate(factors.drives.rows)}
     # Components of the wrench are those in the sensor frame, not at the root.
-    to_sensor = np.zeros((6, 6))
-    to_sensor[:3, :3] = to_sensor[3:, 3:] = cut.R.T
-    to_sensor[:3, 3:] = -cut.R.T @ skew(cut.p)
-    components = to_sensor @ subtree.wrench_transform(robot.body_names[cut.body]) @ Y_n
+    components = _to_sensor(cut) @ subtree.wrench_transform(robot.body_names[cut.body]) @ Y_n
     return Subspaces(
         columns=subtree.columns,
         wrench=basis @ wrench,
@@ -109,6 +102,20 @@ def structural_subspaces(
         singular_values=values,
         partial=factors.drives.partial,
     )
+
+
+def _moved_bodies(robot: RobotModel, cut: SensorSubtree) -> tuple[str, ...]:
+    """Bodies that joints move, the sensor's first; welded ones add no information."""
+    moving = {cut.body, *(link.body for link in robot.tree.links)}
+    return tuple(robot.body_names[b] for b in cut.bodies if b in moving)
+
+
+def _to_sensor(cut: SensorSubtree) -> Array:
+    """Transform (6, 6) of wrenches from the frame of the sensor's body to that of the sensor."""
+    X = np.zeros((6, 6))
+    X[:3, :3] = X[3:, 3:] = cut.R.T
+    X[:3, 3:] = -cut.R.T @ skew(cut.p)
+    return X
 
 
 def floating_subtree_states(robot: RobotModel, cut: SensorSubtree) -> SubtreeRegressor:

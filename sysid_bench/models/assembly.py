@@ -1,6 +1,6 @@
 """Changes of the MjSpec of a robot: names, free base, locked joints, payload at the tool."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -101,38 +101,32 @@ def lock_joints(spec: mujoco.MjSpec, mj: mujoco.MjModel, where: Mapping[str, flo
                     f"Joint {name!r} shares its body with others and can be locked at its "
                     f"reference {reference:.4g} alone."
                 )
-            origin, quaternion = np.array(mj.body_pos[body.id]), np.array(mj.body_quat[body.id])
-            axis, R = np.array(mj.jnt_axis[j]), matrix_of_quaternion(quaternion)
-            if kind == HINGE:
-                turn, anchor = quaternion_of_rotation(axis * displacement), np.array(mj.jnt_pos[j])
-                # The anchor stays where it is; the body frame turns about it.
-                body.pos = origin + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
-                body.quat = composed_rotation(quaternion, turn)
-            else:
-                body.pos, body.quat = origin + R @ axis * displacement, quaternion
-            # Else euler or axisangle in the text of the model would win over quat.
-            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+            _displace(body, mj, j, displacement)
         spec.delete(joint)
+
+
+def _displace(body: mujoco.MjsBody, mj: mujoco.MjModel, j: int, displacement: float) -> None:
+    """Move a body by its hinge or slide j (rad, m)."""
+    origin, quaternion = np.array(mj.body_pos[body.id]), np.array(mj.body_quat[body.id])
+    axis, R = np.array(mj.jnt_axis[j]), matrix_of_quaternion(quaternion)
+    if int(mj.jnt_type[j]) == HINGE:
+        turn, anchor = quaternion_of_rotation(axis * displacement), np.array(mj.jnt_pos[j])
+        # The anchor stays where it is; the body frame turns about it.
+        body.pos = origin + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
+        body.quat = composed_rotation(quaternion, turn)
+    else:
+        body.pos, body.quat = origin + R @ axis * displacement, quaternion
+    # Else euler or axisangle in the text of the model would win over quat.
+    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
 def _uncouple(spec: mujoco.MjSpec, mj: mujoco.MjModel, locked: set[str]) -> None:
     """Delete couplings and fixed tendons of locked joints, and the actuators of these tendons:
     forces of tendons are not joint terms."""
-    # Names of the joints whose positions each tendon adds up.
-    spanned: list[set[str]] = []
-    for first, count in zip(mj.tendon_adr, mj.tendon_num, strict=True):
-        wraps = range(int(first), int(first + count))
-        of_joints = [w for w in wraps if int(mj.wrap_type[w]) == int(mujoco.mjtWrap.mjWRAP_JOINT)]
-        spanned.append({mj.joint(int(mj.wrap_objid[w])).name for w in of_joints})
+    spanned = list(_spanned_joints(mj))
     # From the last one: deleting an element moves the indices of those after it.
     for e in reversed(range(mj.neq)):
-        # An end of -1 means a constant instead of a second joint or tendon.
-        ends = [end for end in (int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])) if end >= 0]
-        joints: set[str] = set()
-        if int(mj.eq_type[e]) == int(mujoco.mjtEq.mjEQ_JOINT):
-            joints = {mj.joint(end).name for end in ends}
-        elif int(mj.eq_type[e]) == int(mujoco.mjtEq.mjEQ_TENDON):
-            joints = set().union(*(spanned[end] for end in ends))
+        joints = _equality_joints(mj, e, spanned)
         if joints & locked:
             if mj.eq_active0[e] and joints - locked:
                 raise ModelError(
@@ -146,6 +140,25 @@ def _uncouple(spec: mujoco.MjSpec, mj: mujoco.MjModel, locked: set[str]) -> None
     # Lists, not iterators: elements are deleted while they are gone through.
     for element in [*(a for a in spec.actuators if a.target in names), *tendons]:
         spec.delete(element)
+
+
+def _spanned_joints(mj: mujoco.MjModel) -> Iterator[set[str]]:
+    """Yield the joints whose positions each tendon adds up."""
+    for first, count in zip(mj.tendon_adr, mj.tendon_num, strict=True):
+        wraps = range(int(first), int(first + count))
+        of_joints = [w for w in wraps if int(mj.wrap_type[w]) == int(mujoco.mjtWrap.mjWRAP_JOINT)]
+        yield {mj.joint(int(mj.wrap_objid[w])).name for w in of_joints}
+
+
+def _equality_joints(mj: mujoco.MjModel, e: int, spanned: Sequence[set[str]]) -> set[str]:
+    """The joints that an equality couples, directly or by tendons; none for one of bodies."""
+    # An end of -1 means a constant instead of a second joint or tendon.
+    ends = [end for end in (int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])) if end >= 0]
+    if int(mj.eq_type[e]) == int(mujoco.mjtEq.mjEQ_JOINT):
+        return {mj.joint(end).name for end in ends}
+    if int(mj.eq_type[e]) == int(mujoco.mjtEq.mjEQ_TENDON):
+        return set().union(*(spanned[end] for end in ends))
+    return set()
 
 
 Pose = tuple[Array, Array]

@@ -347,15 +347,7 @@ def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
     file that is damaged or cannot be had, for data without a licence, and for a full disk.
     """
     target = found.cache if out is None else out
-    places: dict[str, Path | None] = {}
-    for file in found.described.file:
-        others = found.candidates(file.path)
-        if out is not None:
-            others = list(filter(is_file, [out / file.path]))
-        place = next(filter(file.is_at, others), None)
-        if place is None and others not in ([], [found.cache / file.path]):  # ours is loaded again
-            raise UsageError(_damaged(found, file, f"{others[0]} differs from it"))
-        places[file.path] = place
+    places = {file.path: _complete_file(found, file, out) for file in found.described.file}
     absent = [file for file in found.described.file if places[file.path] is None]
     # A copy or download would pass on what nobody has licensed; files of the user's own are read.
     if absent and not found.described.is_open:
@@ -365,7 +357,25 @@ def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
             "yourself, and name its folder in SYSID_BENCH_DATA."
         )
     # Before the first byte: a full disk would be found only after the download of gigabytes.
-    needed = sum(file.bytes for file in absent)
+    _check_space(target, sum(file.bytes for file in absent))
+    for file in absent:
+        _fetch_file(found, file, target / file.path)
+    return {path: place or target / path for path, place in places.items()}
+
+
+def _complete_file(found: DataSetFiles, file: DataFile, out: Path | None) -> Path | None:
+    """Where a file lies whole, in `out` if given; None where it has to be loaded."""
+    others = found.candidates(file.path)
+    if out is not None:
+        others = list(filter(is_file, [out / file.path]))
+    place = next(filter(file.is_at, others), None)
+    if place is None and others not in ([], [found.cache / file.path]):  # ours is loaded again
+        raise UsageError(_damaged(found, file, f"{others[0]} differs from it"))
+    return place
+
+
+def _check_space(target: Path, needed: int) -> None:
+    """Refuse a folder whose disk has less than the bytes needed."""
     parent = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
     if not parent.is_dir():
         raise UsageError(f"{parent} is not a folder; choose another one with -o.")
@@ -375,9 +385,6 @@ def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
             f"{parent} has {free / 1e6:.1f} MB of free space, and the files need "
             f"{needed / 1e6:.1f} MB; free some, or choose another folder with -o."
         )
-    for file in absent:
-        _fetch_file(found, file, target / file.path)
-    return {path: place or target / path for path, place in places.items()}
 
 
 def _damaged(found: DataSetFiles, file: DataFile, what: str) -> str:

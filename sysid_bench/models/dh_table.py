@@ -198,14 +198,7 @@ def read_table(path: Path, symbols: Mapping[str, float] | None = None) -> DhTabl
     if len(numbered) < 2:
         raise UsageError(f"{path} has no rows; write a line of column names, then one per link.")
     header = [name.lower() for name in numbered[0][1]]
-    for name in header:
-        if name not in COLUMNS:
-            raise UsageError(f"{path}: {unknown_name('column of a DH table', name, COLUMNS)}")
-    missing = [name for name in NEEDED if name not in header]
-    if missing:
-        raise UsageError(
-            f"{path} lacks the columns {', '.join(missing)}; required are {', '.join(NEEDED)}."
-        )
+    _check_header(path, header)
     # A line may end before its last columns: their cells are empty.
     cells = [(number, dict(zip(header, row, strict=False))) for number, row in numbered[1:]]
     variables = frozenset(_variable(row.get("link", "")) for _, row in cells)
@@ -348,6 +341,17 @@ class _Cells:
         return x, y, z
 
 
+def _check_header(path: Path, header: Sequence[str]) -> None:
+    for name in header:
+        if name not in COLUMNS:
+            raise UsageError(f"{path}: {unknown_name('column of a DH table', name, COLUMNS)}")
+    missing = [name for name in NEEDED if name not in header]
+    if missing:
+        raise UsageError(
+            f"{path} lacks the columns {', '.join(missing)}; required are {', '.join(NEEDED)}."
+        )
+
+
 def _check_links(path: Path, rows: Sequence[DhRow], connected: Sequence[str]) -> None:
     """Refuse two links of one name, parents further down, variables that nothing moves or that have
     the name of a constant, and links of chains that there are not."""
@@ -361,7 +365,20 @@ def _check_links(path: Path, rows: Sequence[DhRow], connected: Sequence[str]) ->
                 "table; order the rows from the base outwards."
             )
         known.add(row.link)
-    # Variables of the joints that follow no other: rows of followers may come first.
+    independent = _independent_variables(path, rows)
+    for link in connected:
+        if link not in known:
+            raise UsageError(
+                f"{path}: connect: {unknown_name('link', link, [row.link for row in rows])}"
+            )
+    clash = independent.intersection(CONSTANTS)
+    if clash:
+        raise UsageError(f"{path}: {', '.join(sorted(clash))} is a constant; rename the link.")
+
+
+def _independent_variables(path: Path, rows: Sequence[DhRow]) -> set[str]:
+    """Variables of the joints that follow no other, after refusing followers of any other name."""
+    # Of all rows before the check: rows of followers may come first.
     joints = [row for row in rows if row.is_joint and not row.coupling_coefficients]
     independent = {_variable(row.link) for row in joints}
     for row in rows:
@@ -371,11 +388,4 @@ def _check_links(path: Path, rows: Sequence[DhRow], connected: Sequence[str]) ->
                     f"{path}: link {row.link!r} follows {name}, which is not independent; "
                     f"independent are {', '.join(sorted(independent))}."
                 )
-    for link in connected:
-        if link not in known:
-            raise UsageError(
-                f"{path}: connect: {unknown_name('link', link, [row.link for row in rows])}"
-            )
-    clash = independent.intersection(CONSTANTS)
-    if clash:
-        raise UsageError(f"{path}: {', '.join(sorted(clash))} is a constant; rename the link.")
+    return independent

@@ -262,26 +262,28 @@ def _mass_size(model: _Model) -> Iterator[LintFinding]:
 
 def _missing_mass(model: _Model) -> Iterator[LintFinding]:
     """Moving links without mass or without inertia, which the reader completes."""
-    # Links of a URDF that a joint moves and that have a shape, but no inertial.
-    joints = [joint for joint in model.root.findall("joint") if joint.get("type") != "fixed"]
-    moved = {child.get("link") for joint in joints for child in joint.findall("child")}
-    bare = []
-    for link in model.root.findall("link"):
-        is_shaped = link.find("visual") is not None or link.find("collision") is not None
-        if link.get("name") in moved and is_shaped and link.find("inertial") is None:
-            bare.append(str(link.get("name")))
     for word, what in (("massless", "mass"), ("point mass", "moments of inertia")):
         # Repairs quote the name of their link.
         found = [repair.partition("'")[2] for repair in model.robot.repairs if word in repair]
         names = [rest.partition("'")[0] for rest in found]
         if word == "massless":
-            names = list(dict.fromkeys((*names, *bare)))
+            names = list(dict.fromkeys((*names, *_bare_links(model.root))))
         if names:
             yield LintFinding(
                 "missing-mass", "warning", names[0],
                 f"{len(names)} links have no {what}: {first_names(names)}",
                 "give each its inertial, or weld it",
             )  # fmt: skip
+
+
+def _bare_links(root: ET.Element) -> Iterator[str]:
+    """Links of a URDF that a joint moves and that have a shape, but no inertial."""
+    joints = [joint for joint in root.findall("joint") if joint.get("type") != "fixed"]
+    moved = {child.get("link") for joint in joints for child in joint.findall("child")}
+    for link in root.findall("link"):
+        is_shaped = link.find("visual") is not None or link.find("collision") is not None
+        if link.get("name") in moved and is_shaped and link.find("inertial") is None:
+            yield str(link.get("name"))
 
 
 def _mass_positions(model: _Model) -> Iterator[LintFinding]:

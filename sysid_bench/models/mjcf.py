@@ -50,13 +50,17 @@ def repair_mjcf(path: Path, text: bytes, error: str) -> tuple[str, tuple[str, ..
             name = part.attrib.pop("name")
             repairs.append(f"repeated name of {part.tag} {name!r}: the first keeps it")
     if "attribute missing: 'pos'" in error and "'inertial'" in error:
-        for body in root.iter("body"):
-            for inertial in body.findall("inertial"):
-                if "pos" not in inertial.attrib:
-                    inertial.set("pos", "0 0 0")
-                    name = body.get("name", "")
-                    repairs.append(f"<inertial> of body {name!r} without position: at its origin")
+        repairs += _place_inertials(root)
     return ET.tostring(root, encoding="unicode"), tuple(repairs)
+
+
+def _place_inertials(root: ET.Element) -> Iterator[str]:
+    for body in root.iter("body"):
+        for inertial in body.findall("inertial"):
+            if "pos" not in inertial.attrib:
+                inertial.set("pos", "0 0 0")
+                name = body.get("name", "")
+                yield f"<inertial> of body {name!r} without position: at its origin"
 
 
 def _repeated(
@@ -116,17 +120,7 @@ def add_mass(spec: mujoco.MjSpec, name: str) -> tuple[str, ...]:
         b = int(found[1]) if found else 0
         if b in kept or b in repairs:
             break
-        body = spec.bodies[b]
-        mass = float(body.mass) if body.explicitinertial else 0.0
-        label = f"{body.name!r}" if body.name else "(unnamed)"
-        if mass >= MASSLESS:
-            moment = point_inertia(mass)
-            repairs[b] = f"point mass of body {label} given the inertia {moment:.2g} kg m^2"
-        else:
-            mass, moment, body.ipos = TINY_MASS, TINY_MOMENT, np.zeros(3)
-            repairs[b] = f"massless moving body {label} given {TINY_MASS:.0e} kg"
-        body.explicitinertial, body.mass = True, mass
-        body.inertia, body.fullinertia = np.full(3, moment), np.full(6, np.nan)
+        repairs[b] = _complete_body(spec.bodies[b])
     if repairs and mj is not None and all(spec.bodies[b].mass == TINY_MASS for b in repairs):
         masses = np.where(mj.body_weldid > 0, mj.body_mass, 0.0)
         if np.delete(masses, [*repairs]).max(initial=0.0) <= MASSLESS:
@@ -135,6 +129,21 @@ def add_mass(spec: mujoco.MjSpec, name: str) -> tuple[str, ...]:
                 "with <inertial> elements, or with shapes that have a density."
             )
     return tuple(repairs.values())
+
+
+def _complete_body(body: mujoco.MjsBody) -> str:
+    """Give a point mass an inertia, a massless body both, in place; return this in words."""
+    mass = float(body.mass) if body.explicitinertial else 0.0
+    label = f"{body.name!r}" if body.name else "(unnamed)"
+    if mass >= MASSLESS:
+        moment = point_inertia(mass)
+        repair = f"point mass of body {label} given the inertia {moment:.2g} kg m^2"
+    else:
+        mass, moment, body.ipos = TINY_MASS, TINY_MOMENT, np.zeros(3)
+        repair = f"massless moving body {label} given {TINY_MASS:.0e} kg"
+    body.explicitinertial, body.mass = True, mass
+    body.inertia, body.fullinertia = np.full(3, moment), np.full(6, np.nan)
+    return repair
 
 
 def _may_be_completed(body: mujoco.MjsBody) -> bool:

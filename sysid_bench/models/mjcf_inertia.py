@@ -42,9 +42,20 @@ def compiled_inertia(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str
     files = {geom: _mesh_file(spec, geom.meshname, path, folder) for geom in weighing}
     lost = {geom: f for geom, f in files.items() if f is not None and not is_file(f)}
     kept = {geom: file for geom, file in files.items() if geom not in lost}
-    absent = _absent_text(lost, folder) if lost else ""
+    absent = _absent_text(lost, folder)
+    _delete_shapes_with_files(spec, kept)
+    if kept or absent or _has_rules(spec):
+        _fix_inertias(spec, path, absent)
+    _delete_all(spec, [*kept, *spec.meshes])
+    return (f"{absent}; left out",) if absent else ()
+
+
+def _delete_shapes_with_files(
+    spec: mujoco.MjSpec, kept: Mapping[mujoco.MjsGeom, Path | None]
+) -> None:
+    """Delete the shapes and meshes that would make the compiler read other files than those kept,
+    whose paths become absolute."""
     with_files = [g for g in spec.geoms if int(g.type) in _WITH_FILES or g.meshname]
-    # All other meshes and settings would make the compiler read files.
     meshes = {geom.meshname: file for geom, file in kept.items()}
     _delete_all(spec, [geom for geom in with_files if geom not in kept])
     _delete_all(spec, [mesh for mesh in spec.meshes if mesh.name not in meshes])
@@ -52,13 +63,14 @@ def compiled_inertia(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str
         if (file := meshes[mesh.name]) is not None:
             mesh.file = str(file.resolve())
     spec.strippath = False  # the paths are absolute now and must keep their folders
+
+
+def _has_rules(spec: mujoco.MjSpec) -> bool:
+    """True where the compiler changes inertias, or derives springs and dampers from them."""
     rules = spec.compiler
     changed = max(rules.settotalmass, rules.boundmass, rules.boundinertia) > 0
     derived = any(np.any(joint.springdamper) for joint in spec.joints)
-    if kept or absent or changed or rules.balanceinertia or derived:
-        _fix_inertias(spec, path, absent)
-    _delete_all(spec, [*kept, *spec.meshes])
-    return (f"{absent}; left out",) if absent else ()
+    return bool(changed or rules.balanceinertia or derived)
 
 
 def _fix_inertias(spec: mujoco.MjSpec, path: Path, absent: str) -> None:
@@ -106,7 +118,10 @@ def _delete_all(spec: mujoco.MjSpec, elements: Iterable[Any]) -> None:
 
 
 def _absent_text(lost: Mapping[mujoco.MjsGeom, Path], folder: Path) -> str:
-    """Bodies whose inertia comes from meshes that do not exist, in the order of the text."""
+    """Bodies whose inertia comes from meshes that do not exist, in the order of the text; "" if
+    there are none."""
+    if not lost:
+        return ""
     within = folder.resolve()
     files = [os.path.relpath(os.path.realpath(file), within) for file in lost.values()]
     return (

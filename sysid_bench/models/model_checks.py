@@ -206,22 +206,14 @@ def placeholder_reason(robot: "RobotModel") -> str:
     in length, and radii of gyration beyond the reach of the whole robot. The payload and the bodies
     that the manifest calls massless do not count.
     """
-    # phi of the links that move and have a mass, welded bodies added to their links, and their
-    # lengths: the distance to the farthest child, 0 without children.
+    # phi of the links that move and have a mass, welded bodies added to their links.
     own = robot.phi.copy()
     if robot.payload_body is not None:
         own[robot.payload_body] = 0.0
     own[[name in robot.manifest.massless for name in robot.body_names]] = 0.0
     links = robot.tree.link_parameters(own)
-    lengths = np.zeros(len(links))
-    mj = robot.mj
-    for child in range(1, mj.nbody):
-        parent = int(mj.body_parentid[child]) - 1  # MuJoCo counts the world as body 0
-        link = robot.tree.carrier[parent] if parent >= 0 else -1  # -1: the world
-        if link >= 0:
-            lengths[link] = max(lengths[link], float(np.linalg.norm(mj.body_pos[child])))
     heavy = links[:, 0] > LIGHTEST
-    phi, lengths = links[heavy], lengths[heavy]
+    phi, lengths = links[heavy], _link_lengths(robot, len(links))[heavy]
     if len(phi) == 0:
         return "none of its moving links has a mass"
     # The largest group with equal masses and principal moments.
@@ -242,6 +234,17 @@ def placeholder_reason(robot: "RobotModel") -> str:
     if wide:
         return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
     return ""
+
+
+def _link_lengths(robot: "RobotModel", count: int) -> Array:
+    """Distances (m) of links to their farthest child, 0 without children."""
+    lengths, mj = np.zeros(count), robot.mj
+    for child in range(1, mj.nbody):
+        parent = int(mj.body_parentid[child]) - 1  # MuJoCo counts the world as body 0
+        link = robot.tree.carrier[parent] if parent >= 0 else -1  # -1: the world
+        if link >= 0:
+            lengths[link] = max(lengths[link], float(np.linalg.norm(mj.body_pos[child])))
+    return lengths
 
 
 def length(robot: "RobotModel") -> float:

@@ -1,6 +1,6 @@
 """Payloads: rigid bodies mounted at the tool frame, by name or as a table."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
@@ -36,14 +36,9 @@ class Payload:
         return self.mass > 0.0
 
 
-def inertia_of(text: str, mass: float) -> tuple[float, float, float, float, float, float]:
-    """Return the inertia (kg m^2) about the centre of "box 0.1 0.1 0.2 m", "sphere 0.05 m"
-    (radius), "rod 0.3 m" (thin, along x) or "point", of uniform density."""
-    word, _, rest = text.strip().partition(" ")
-    # The last word may be the unit of all sizes.
-    words = rest.split()
+def _sizes(text: str, words: list[str]) -> Iterator[float]:
+    """Yield the sizes (m) of a solid, of which the last word may be the unit of all."""
     unit = words.pop() if words and words[-1] in _METRES else "m"
-    sizes = []
     for size in words:  # "50" in the unit of the whole solid, or "50mm" in its own
         try:
             number, written = parse_quantity(size)
@@ -54,7 +49,14 @@ def inertia_of(text: str, mass: float) -> tuple[float, float, float, float, floa
                 f"The solid {text!r}: {size!r} has the unit {written!r}; expected one of "
                 f"{', '.join(_METRES)}."
             )
-        sizes.append(number * _METRES[written or unit])
+        yield number * _METRES[written or unit]
+
+
+def inertia_of(text: str, mass: float) -> tuple[float, float, float, float, float, float]:
+    """Return the inertia (kg m^2) about the centre of "box 0.1 0.1 0.2 m", "sphere 0.05 m"
+    (radius), "rod 0.3 m" (thin, along x) or "point", of uniform density."""
+    word, _, rest = text.strip().partition(" ")
+    sizes = list(_sizes(text, rest.split()))
     if not all(0 < size <= _LARGEST for size in sizes):
         raise UsageError(f"The solid {text!r} has a size outside of 0 to {_LARGEST:.0e} m.")
     match word, sizes:

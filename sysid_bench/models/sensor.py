@@ -225,8 +225,8 @@ def end_body(robot: RobotModel, cut: SensorSubtree) -> int:
     return max(cut.bodies, key=lambda b: len(links[carrier[b]].dofs) if carrier[b] >= 0 else 0)
 
 
-def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
-    """(body, R, p) of a fixed joint, a site or a body."""
+def _fixed_moving(robot: RobotModel) -> tuple[dict[str, str], set[str]]:
+    """Fixed joints with the links below them, and the names of moving joints."""
     fixed: dict[str, str] = {}
     moving = {joint.name for joint in robot.joints}
     if robot.format == "urdf" and robot.text:
@@ -236,6 +236,12 @@ def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
                 fixed[joint.get("name", "")] = joint.findall("child")[0].get("link", "")
             else:
                 moving.add(joint.get("name", ""))
+    return fixed, moving
+
+
+def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
+    """(body, R, p) of a fixed joint, a site or a body."""
+    fixed, moving = _fixed_moving(robot)
     if at in fixed and fixed[at] not in robot.body_names:
         raise ModelError(
             f"{robot.name}: the link {fixed[at]!r} distal to the sensor is not a body of the robot."

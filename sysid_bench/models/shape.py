@@ -55,15 +55,7 @@ def _urdf_geometry(
     """Kind, size and file of a geometry; None for others, and for a mesh that does not exist."""
     match geometry.tag:
         case "mesh":
-            written = str(geometry.get("filename", ""))  # package://NAME/..., file://..., relative
-            files = [model.parent / written.removeprefix("file://")]
-            if written.startswith("package://"):
-                # The folder of the package is searched above the model, with its name and without.
-                rest = Path(written.removeprefix("package://"))
-                parts = (rest, Path(*rest.parts[1:]))
-                files = [parent / part for parent in model.parents for part in parts]
-            readable = files if written.lower().endswith(_MESHES) else []
-            file = next((str(file) for file in readable if is_file(file)), None)
+            file = _mesh_file(str(geometry.get("filename", "")), model)
             scale = tuple(_numbers(geometry, "scale", 3, default=1.0)) if file else ()
             return None if file is None else ("mesh", scale, file)
         case "box":
@@ -75,6 +67,18 @@ def _urdf_geometry(
             half = 0.5 * float(geometry.get("length", 0))
             return kind, (float(geometry.get("radius", 0)), half), ""
     return None
+
+
+def _mesh_file(written: str, model: Path) -> str | None:
+    """Readable file of a mesh that is written as package://NAME/..., file://... or relative."""
+    files = [model.parent / written.removeprefix("file://")]
+    if written.startswith("package://"):
+        # The folder of the package is searched above the model, with its name and without.
+        rest = Path(written.removeprefix("package://"))
+        parts = (rest, Path(*rest.parts[1:]))
+        files = [parent / part for parent in model.parents for part in parts]
+    readable = files if written.lower().endswith(_MESHES) else []
+    return next((str(file) for file in readable if is_file(file)), None)
 
 
 def body_frames(robot: RobotModel, q: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Canonical text of a URDF that MuJoCo and Pinocchio read alike: faults repaired, limits added."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, product
 from typing import Final
@@ -53,6 +53,10 @@ def canonical_joints(robot: ET.Element, root: str, name: str) -> Iterator[str]:
                 f"{name}: the planar {label} becomes {', '.join(sorted(parts))}, and another "
                 f"joint is called {min(parts & names)!r}; rename that one."
             )
+    yield from _complete_limits(joints)
+
+
+def _complete_limits(joints: Sequence[ET.Element]) -> Iterator[str]:
     for joint in (joint for joint in joints if joint.get("type") in ("revolute", "prismatic")):
         label, limit = f"joint {joint.get('name')!r}", joint.find("limit")
         # Pinocchio refuses absent limits; zero means "no limit" to both engines.
@@ -184,9 +188,8 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     # A root link called `world` is the ground: a floating robot begins below.
     if free_base and tree.root == "world" and _root_joint(tree) in ("fixed", "floating"):
         robot.remove(tree.links["world"])
-        for joint in robot.findall("joint"):
-            if link_at(joint, "parent") == "world":
-                robot.remove(joint)
+        for joint in robot.findall("joint/parent[@link='world']/.."):
+            robot.remove(joint)
         tree = link_tree(robot, name)
     # MuJoCo takes every link of that name for the ground, moving ones, too.
     if "world" in tree.links and (free_base or tree.root != "world"):
@@ -199,15 +202,20 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     check_has_inertia(robot, name)
     repairs = repair_inertia(robot, tree, name, free_base)
     ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler").set("fusestatic", "false")
-    # MuJoCo knows no velocity limits (rad/s, m/s); zero means "no limit" to both engines.
-    limited = {joint.get("name", ""): joint.find("limit") for joint in robot.findall("joint")}
-    stated = {n: float(x.get("velocity", 0.0)) for n, x in limited.items() if x is not None}
     return Urdf(
         ET.tostring(robot, encoding="unicode"),
         (*repairs, *limits, *removed, *urdf_warnings(robot)),
-        {joint: v for joint, v in stated.items() if v > 0},
+        _velocity_limits(robot),
         mimic,
     )
+
+
+def _velocity_limits(robot: ET.Element) -> dict[str, float]:
+    """Velocity limits (rad/s, m/s), which MuJoCo does not know; zero means "no limit" to both
+    engines."""
+    limited = {joint.get("name", ""): joint.find("limit") for joint in robot.findall("joint")}
+    stated = {n: float(x.get("velocity", 0.0)) for n, x in limited.items() if x is not None}
+    return {joint: v for joint, v in stated.items() if v > 0}
 
 
 def _remove_unused(robot: ET.Element) -> Iterator[str]:

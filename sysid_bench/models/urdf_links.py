@@ -46,15 +46,7 @@ def link_tree(robot: ET.Element, name: str) -> LinkTree:
     Raises ModelError, with the file's `name`, for absent or repeated names, several parents,
     several roots and cycles.
     """
-    for tag in ("link", "joint"):
-        counts = Counter(element.get("name") for element in robot.findall(tag))
-        for key, count in counts.items():
-            if key is None:
-                raise ModelError(f"{name}: a <{tag}> has no name; give it one.")
-            if count > 1:
-                raise ModelError(
-                    f"{name}: {count} <{tag}> elements are called {key!r}; names must differ."
-                )
+    _check_names(robot, name)
     links = {str(link.get("name")): link for link in robot.findall("link")}
     below: dict[str, list[tuple[str, str]]] = {}
     parents: dict[str, str] = {}
@@ -81,6 +73,18 @@ def link_tree(robot: ET.Element, name: str) -> LinkTree:
             f"{name}: the links {', '.join(lost[:5])} form a cycle apart from {tree.root!r}."
         )
     return tree
+
+
+def _check_names(robot: ET.Element, name: str) -> None:
+    for tag in ("link", "joint"):
+        counts = Counter(element.get("name") for element in robot.findall(tag))
+        for key, count in counts.items():
+            if key is None:
+                raise ModelError(f"{name}: a <{tag}> has no name; give it one.")
+            if count > 1:
+                raise ModelError(
+                    f"{name}: {count} <{tag}> elements are called {key!r}; names must differ."
+                )
 
 
 def link_at(joint: ET.Element, end: str) -> str | None:

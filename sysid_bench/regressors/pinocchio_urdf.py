@@ -85,18 +85,9 @@ def _urdf_model(robot: RobotModel) -> _UrdfModel:
     if [joint.get("type") for joint in below] == ["floating"]:
         for element in (*below, *text.findall("link[@name='world']")):
             text.remove(element)
-    for element in text.findall("joint"):
-        if element.get("type") == "planar":
-            _split_planar(text, element, robot)
-    # Links and joints become b0, b1, ... and j0, j1, ...; the maps go from old to new names.
-    bodies = {str(link.get("name")): f"b{k}" for k, link in enumerate(text.findall("link"))}
-    joints = {str(joint.get("name")): f"j{k}" for k, joint in enumerate(text.findall("joint"))}
-    for link in text.findall("link"):
-        link.set("name", bodies[str(link.get("name"))])
-    for joint in text.findall("joint"):
-        joint.set("name", joints[str(joint.get("name"))])
-        for tag in ("parent", "child"):
-            _end(joint, tag).set("link", bodies[str(_end(joint, tag).get("link"))])
+    for element in text.findall("joint[@type='planar']"):
+        _split_planar(text, element, robot)
+    bodies, joints = _number_names(text)
     root = [pin.JointModelFreeFlyer()] if robot.floating else []
     try:
         model = pin.buildModelFromXML(ET.tostring(text, encoding="unicode"), *root)
@@ -133,6 +124,19 @@ def _split_planar(text: ET.Element, joint: ET.Element, robot: RobotModel) -> Non
         ET.SubElement(joint, "limit", limit)
         if not last:
             ET.SubElement(text, "link", name=f"{name}{k} between")
+
+
+def _number_names(text: ET.Element) -> tuple[dict[str, str], dict[str, str]]:
+    """Call links b0, b1, ... and joints j0, j1, ...; return the new names by the old ones."""
+    bodies = {str(link.get("name")): f"b{k}" for k, link in enumerate(text.findall("link"))}
+    joints = {str(joint.get("name")): f"j{k}" for k, joint in enumerate(text.findall("joint"))}
+    for link in text.findall("link"):
+        link.set("name", bodies[str(link.get("name"))])
+    for joint in text.findall("joint"):
+        joint.set("name", joints[str(joint.get("name"))])
+        for tag in ("parent", "child"):
+            _end(joint, tag).set("link", bodies[str(_end(joint, tag).get("link"))])
+    return bodies, joints
 
 
 def _end(joint: ET.Element, tag: str) -> ET.Element:

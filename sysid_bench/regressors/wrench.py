@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import unknown_name
+from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import FloatingSubtree, Instruments, SensorSubtree, instruments_of
 from sysid_bench.models.tree import Tree
@@ -281,14 +282,19 @@ def subtree_drives(robot: RobotModel, cut: SensorSubtree, q: Array) -> SubtreeDr
         units = tuple(robot.torque_units[dof] for dof in dofs)
         names = tuple(robot.rows[dof] for dof in dofs)
         return SubtreeDrives(names, units, np.eye(len(dofs))[None], ((),) * len(dofs))
+    return _coupled_drives(robot, robot.coupling, dofs, q)
+
+
+def _coupled_drives(
+    robot: RobotModel, coupling: Coupling, dofs: tuple[int, ...], q: Array
+) -> SubtreeDrives:
     # Degrees of freedom that each independent one moves, itself included.
-    coupling = robot.coupling
     pairs = zip(coupling.independent, coupling.is_coupled.T, strict=True)
     moved = [{int(dof), *coupling.dependent[column].tolist()} for dof, column in pairs]
     whole = [i for i, joints in enumerate(moved) if joints <= {*dofs}]
     partial = [i for i, joints in enumerate(moved) if joints & {*dofs} and i not in whole]
     rows = robot.torque_rows
-    G = robot.coupling.G(q[:, : robot.mj.nq])[:, list(dofs)][:, :, whole]
+    G = coupling.G(q[:, : robot.mj.nq])[:, list(dofs)][:, :, whole]
     return SubtreeDrives(
         rows=tuple(rows[i] for i in whole),
         units=tuple(robot.torque_units[i] for i in whole),

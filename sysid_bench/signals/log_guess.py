@@ -112,23 +112,12 @@ def guess_log(tables: _Tables, robot: RobotModel) -> LogGuess:
     if preset is not None:
         return LogGuess(tuple(_of_preset(tables[0], robot, preset)))
     joints = scalar_joints(robot)
-    names = list(chain.from_iterable(table.names for _, table in tables))
-    shared = [n for n, count in Counter(names).items() if count > 1 and not is_signal(n, "time")]
-    timeless = [file for file, table in tables if column_names.time_column(table.names) is None]
-    # Files with columns of one name, or without stamps to join them by, hold one signal each.
-    apart = len(tables) > 1 and bool(shared or timeless)
+    apart = _has_signal_per_file(tables)
     found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
-    tau, motion = found.get("tau"), [found[name].values for name in ("q", "v") if name in found]
-    if tau is not None and _is_acceleration(tau.values, [tau.values, *motion]):
+    if "tau" in found and _has_acceleration_as_torque(found):
         del found["tau"]
     if "q" not in found:
-        listed = f"are {first_names(names, 8)}" if names else "have no names"
-        absent = "positions" if "tau" in found else "positions and no torques or currents"
-        raise UsageError(
-            f"{', '.join(file for file, _ in tables)}: no {absent} can be found: its columns "
-            f"{listed}. A log needs positions and torques (or motor currents); name all its files, "
-            "or write the description by hand: joints, q = { columns = [...] }, tau."
-        )
+        raise _no_positions(tables, "tau" in found)
     files = [name for name, _ in tables]
     of_files = [] if apart else [_GuessedKey("file", files[0] if len(files) == 1 else files)]
     of_joints = _joints(found["q"], joints)
@@ -137,6 +126,31 @@ def guess_log(tables: _Tables, robot: RobotModel) -> LogGuess:
     lacks = "" if "tau" in found else NO_TORQUE
     unused = () if apart else _unused(found, tables)
     return LogGuess((*of_files, of_joints, of_time, *signals), lacks, unused)
+
+
+def _has_signal_per_file(tables: _Tables) -> bool:
+    """True for files with columns of one name, or without stamps to join them by: each holds one
+    signal."""
+    names = Counter(chain.from_iterable(table.names for _, table in tables))
+    shared = [n for n, count in names.items() if count > 1 and not is_signal(n, "time")]
+    timeless = [file for file, table in tables if column_names.time_column(table.names) is None]
+    return len(tables) > 1 and bool(shared or timeless)
+
+
+def _has_acceleration_as_torque(found: Mapping[str, _Columns]) -> bool:
+    tau, motion = found["tau"], [found[name].values for name in ("q", "v") if name in found]
+    return _is_acceleration(tau.values, [tau.values, *motion])
+
+
+def _no_positions(tables: _Tables, has_torques: bool) -> UsageError:
+    names = list(chain.from_iterable(table.names for _, table in tables))
+    listed = f"are {first_names(names, 8)}" if names else "have no names"
+    absent = "positions" if has_torques else "positions and no torques or currents"
+    return UsageError(
+        f"{', '.join(file for file, _ in tables)}: no {absent} can be found: its columns "
+        f"{listed}. A log needs positions and torques (or motor currents); name all its files, "
+        "or write the description by hand: joints, q = { columns = [...] }, tau."
+    )
 
 
 def scalar_joints(robot: RobotModel) -> list[str]:
@@ -260,14 +274,19 @@ def _unused(found: Mapping[str, _Columns], tables: _Tables) -> tuple[str, ...]:
         taken = {i for name in used & table.names.keys() for i in table.names[str(name)]}
         taken |= {column - 1 for column in used if isinstance(column, int)}
         left = [i for i in range(table.values.shape[1]) if i not in taken]
-        names = {i: name for name, (i, *more) in table.names.items() if not more}
-        unused += [names[i] for i in left if i in names]
-        bare = [i + 1 for i in left if i not in names]
-        breaks = [i for i in range(1, len(bare)) if bare[i] != bare[i - 1] + 1]
-        for start, end in pairwise([0, *breaks, len(bare)] if bare else []):
-            first, last = bare[start], bare[end - 1]
-            unused.append(f"{first}" if first == last else f"{first} to {last}")
+        unused += _labels(table, left)
     return tuple(dict.fromkeys(unused))
+
+
+def _labels(table: LogTable, columns: Sequence[int]) -> Iterator[str]:
+    """Yield the names of columns, then ranges from 1 of those without a name of their own."""
+    names = {i: name for name, (i, *more) in table.names.items() if not more}
+    yield from (names[i] for i in columns if i in names)
+    bare = [i + 1 for i in columns if i not in names]
+    breaks = [i for i in range(1, len(bare)) if bare[i] != bare[i - 1] + 1]
+    for start, end in pairwise([0, *breaks, len(bare)] if bare else []):
+        first, last = bare[start], bare[end - 1]
+        yield f"{first}" if first == last else f"{first} to {last}"
 
 
 def _joints(q: _Columns, joints: Sequence[str]) -> _GuessedKey:

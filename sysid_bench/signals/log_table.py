@@ -101,13 +101,7 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     Column i of an array "q" is also named "q:i", from 1. Raises UsageError without numbers, and for
     a list in place of an array, which a reader of one's own may return.
     """
-    if lists := [name for name, x in arrays.items() if isinstance(x, list | tuple)]:
-        raise UsageError(f"{path}: {first_names(lists)} is a list; give numpy.asarray of it.")
-    numeric = {
-        name: x
-        for name, x in arrays.items()
-        if getattr(x, "ndim", 0) in (1, 2) and x.dtype.kind in "fiub"
-    }
+    numeric = _numeric_arrays(path, arrays)
     N = max((max(x.shape) for x in numeric.values()), default=0)
     if N == 0:
         raise UsageError(f"{path} holds no array of numbers.")
@@ -126,6 +120,16 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
         first += width
         report(path, first, values.shape[1])
     return LogTable(path, values, names)
+
+
+def _numeric_arrays(path: Path, arrays: Mapping[str, Any]) -> dict[str, Any]:
+    if lists := [name for name, x in arrays.items() if isinstance(x, list | tuple)]:
+        raise UsageError(f"{path}: {first_names(lists)} is a list; give numpy.asarray of it.")
+    return {
+        name: x
+        for name, x in arrays.items()
+        if getattr(x, "ndim", 0) in (1, 2) and x.dtype.kind in "fiub"
+    }
 
 
 def _time_by_rows(x: Array, N: int) -> Array:

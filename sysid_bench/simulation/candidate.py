@@ -87,16 +87,7 @@ def kinematics_of(robot: RobotModel) -> RobotModel:
         # Unless set, these are NaN, which the compiler replaces by the body's pose.
         body.ipos, body.iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
         for k in range(mj.body_jntnum[b]):
-            j = int(mj.body_jntadr[b]) + k
-            kind, qadr = mujoco.mjtJoint(int(mj.jnt_type[j])), int(mj.jnt_qposadr[j])
-            joint = body.add_joint(name=mj.joint(j).name, type=kind)
-            if kind == mujoco.mjtJoint.mjJNT_FREE:
-                continue
-            joint.pos, joint.axis = mj.jnt_pos[j], mj.jnt_axis[j]
-            joint.actfrclimited = bool(mj.jnt_actfrclimited[j])
-            joint.actfrcrange = mj.jnt_actfrcrange[j]
-            if kind != mujoco.mjtJoint.mjJNT_BALL:
-                joint.ref, joint.springref = mj.qpos0[qadr], mj.qpos_spring[qadr]
+            _add_joint(body, mj, int(mj.body_jntadr[b]) + k)
         bodies.append(body)
     for e in range(mj.neq):
         _add_equality(spec, bodies, mj, e)
@@ -114,6 +105,18 @@ def kinematics_of(robot: RobotModel) -> RobotModel:
         joint_terms=JointTerms(**terms),
         text=b"",
     )
+
+
+def _add_joint(body: mujoco.MjsBody, mj: mujoco.MjModel, j: int) -> None:
+    kind, qadr = mujoco.mjtJoint(int(mj.jnt_type[j])), int(mj.jnt_qposadr[j])
+    joint = body.add_joint(name=mj.joint(j).name, type=kind)
+    if kind == mujoco.mjtJoint.mjJNT_FREE:
+        return
+    joint.pos, joint.axis = mj.jnt_pos[j], mj.jnt_axis[j]
+    joint.actfrclimited = bool(mj.jnt_actfrclimited[j])
+    joint.actfrcrange = mj.jnt_actfrcrange[j]
+    if kind != mujoco.mjtJoint.mjJNT_BALL:
+        joint.ref, joint.springref = mj.qpos0[qadr], mj.qpos_spring[qadr]
 
 
 def _add_equality(

@@ -1,6 +1,6 @@
 """Regressor columns besides rigid bodies and joint terms: features of joints, terms of motors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -157,18 +157,7 @@ def plugin_folder(robot: RobotModel) -> Path | None:
 
 def _motors(words: Sequence[str], training: Sequence[ProcessedLog]) -> MotorColumns:
     """The columns of motors, which all training logs have to drive alike."""
-    first, motions = training[0].log.description, list[Trajectory]()
-    for log in training:
-        if log.motors is None:
-            raise UsageError(
-                f"'motor.{words[0]}' needs transmission = [[...], ...] (q = G q_motor) in "
-                f"{first.source}: motors that move joints together."
-            )
-        motions.append(log.motors)
-        other = log.log.description
-        same = np.array_equal(np.asarray(other.transmission), np.asarray(first.transmission))
-        if other.joints != first.joints or not same:
-            raise UsageError(f"{other.source} has another transmission than {first.source}.")
+    first, motions = training[0].log.description, list(_motor_motions(words[0], training))
     unknown = [word for word in words if word in SUFFIX and word not in MOTOR_TERMS]
     if unknown:  # such as a spring
         advice = "Features, such as play, are also possible."
@@ -181,6 +170,23 @@ def _motors(words: Sequence[str], training: Sequence[ProcessedLog]) -> MotorColu
     inverse[np.abs(inverse) < 1e-12 * np.abs(inverse).max()] = 0.0
     plain = tuple(SUFFIX[word] for word in words if word in MOTOR_TERMS)
     return MotorColumns(inverse, first.joints, plain, table)
+
+
+def _motor_motions(word: str, training: Sequence[ProcessedLog]) -> Iterator[Trajectory]:
+    """Yield the motions of the motors; raise UsageError for a log without a transmission or with
+    another one than the first."""
+    first = training[0].log.description
+    for log in training:
+        if log.motors is None:
+            raise UsageError(
+                f"'motor.{word}' needs transmission = [[...], ...] (q = G q_motor) in "
+                f"{first.source}: motors that move joints together."
+            )
+        yield log.motors
+        other = log.log.description
+        same = np.array_equal(np.asarray(other.transmission), np.asarray(first.transmission))
+        if other.joints != first.joints or not same:
+            raise UsageError(f"{other.source} has another transmission than {first.source}.")
 
 
 def _features(names: Sequence[str], folder: Path | None = None, several: bool = True) -> list[Any]:

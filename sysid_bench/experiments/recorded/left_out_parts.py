@@ -1,6 +1,6 @@
 """Parts of a training motion left out: selection of terms, and intervals of payloads."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any, Final
@@ -59,25 +59,10 @@ def select_terms(
     names = wide.base().names
     # Factors of all candidates once: the search only takes columns of them.
     builder, width = LogProblemBuilder(wide, names, preprocessing), len(names)
-    parts = [
-        [qr_factor(spread(factor, width) for factor in factors) for factors in part]
-        for part in fold_factors(builder, training, FOLDS)
-    ]
-    folds = []  # the rows of each joint, of the other parts together and of the part left out
-    for f, left_out in enumerate(parts):
-        others = zip(*(parts[:f] + parts[f + 1 :]), strict=True)
-        folds.append(
-            [FoldRow(qr_factor(R), last) for R, last in zip(others, left_out, strict=True)]
-        )
+    folds = list(_folds(builder, training, width))
     known = {*unknowns.robot_parameters, *unknowns.payload_parameters, *unknowns.extra}
     start = [i for i, name in enumerate(names) if name in known]
-    optional = []
-    for i, name in enumerate(names):
-        # The recorded rows in which a term or feature acts.
-        rows = tuple(wide.rows.index(row) for row in wide.rows_of(name) if row in wide.rows)
-        if name not in known and rows:
-            optional.append((rows, i))
-    choice = select_columns(folds, start, optional)
+    choice = select_columns(folds, start, list(_optional_columns(wide, names, known)))
     added = {names[i] for i in choice.columns} - known
     selection = TermSelection(
         tuple((names[i], error) for i, error in choice.steps),
@@ -92,6 +77,29 @@ def select_terms(
         extra=tuple(name for name in wide.extra if name in extra),
     )
     return selected, selection
+
+
+def _folds(
+    builder: LogProblemBuilder, training: Sequence[ProcessedLog], width: int
+) -> Iterator[list[FoldRow]]:
+    """Yield the rows of each joint, of the other parts together and of the part left out."""
+    parts = [
+        [qr_factor(spread(factor, width) for factor in factors) for factors in part]
+        for part in fold_factors(builder, training, FOLDS)
+    ]
+    for f, left_out in enumerate(parts):
+        others = zip(*(parts[:f] + parts[f + 1 :]), strict=True)
+        yield [FoldRow(qr_factor(R), last) for R, last in zip(others, left_out, strict=True)]
+
+
+def _optional_columns(
+    wide: Unknowns, names: Sequence[str], known: Collection[str]
+) -> Iterator[tuple[tuple[int, ...], int]]:
+    """Yield the candidates: the recorded rows in which a term or feature acts, and its column."""
+    for i, name in enumerate(names):
+        rows = tuple(wide.rows.index(row) for row in wide.rows_of(name) if row in wide.rows)
+        if name not in known and rows:
+            yield rows, i
 
 
 def _with_candidates(

@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.left_out_parts import select_terms
+from sysid_bench.experiments.recorded.left_out_parts import TermSelection, select_terms
 from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
 from sysid_bench.experiments.recorded.process_log import (
@@ -21,7 +21,7 @@ from sysid_bench.experiments.recorded.process_log import (
     process_log,
 )
 from sysid_bench.experiments.recorded.source import RecordedSource
-from sysid_bench.experiments.recorded.unknowns import check_wrench, unknowns_of
+from sysid_bench.experiments.recorded.unknowns import Unknowns, check_wrench, unknowns_of
 from sysid_bench.experiments.simulated.problem import SimulatedModel
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.tasks.task import find_task
@@ -172,12 +172,7 @@ def build_problems(
     """
     if options.feasible not in (TERMS_TOO, BODIES_ALONE):
         raise unknown_name("choice of feasibility", options.feasible, (TERMS_TOO, BODIES_ALONE))
-    terms = _terms(training[0], options)
-    unknowns = unknowns_of(options.task, terms, training, options.position_given, options.sensor)
-    check_wrench(tests.values(), () if unknowns.sub_tree is None else unknowns.sub_tree.cuts)
-    selection = None
-    if options.candidates:
-        unknowns, selection = select_terms(unknowns, options.candidates, training, preprocessing)
+    terms, unknowns, selection = _unknowns(training, tests, preprocessing, options)
     base = unknowns.base()
     builder = LogProblemBuilder(unknowns, base.names, preprocessing)
     built = builder.build(training, base)
@@ -200,6 +195,21 @@ def build_problems(
     }
     experiment = _experiment(problem, builder, training[0])
     return ExperimentData(unknowns.robot, problem, experiment, held_out, source, moving)
+
+
+def _unknowns(
+    training: Sequence[ProcessedLog],
+    tests: Mapping[str, ProcessedLog],
+    preprocessing: LogProcessing,
+    options: LogOptions,
+) -> tuple[tuple[str, ...], Unknowns, TermSelection | None]:
+    """The terms, the unknowns with the selected candidates, and how these were selected."""
+    terms = _terms(training[0], options)
+    unknowns = unknowns_of(options.task, terms, training, options.position_given, options.sensor)
+    check_wrench(tests.values(), () if unknowns.sub_tree is None else unknowns.sub_tree.cuts)
+    if not options.candidates:
+        return terms, unknowns, None
+    return terms, *select_terms(unknowns, options.candidates, training, preprocessing)
 
 
 def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLog) -> Experiment:

@@ -124,21 +124,28 @@ def lock_manifest(
     for log in logs:
         _check_alike(log, first, takes_base)
     moving = recorded | _followers(robot, recorded, first)
+    return replace(manifest, locked={**manifest.locked, **_still_joints(robot, moving, first)})
+
+
+def _still_joints(robot: RobotModel, moving: set[str], log: LogDescription) -> dict[str, float]:
+    """The positions of the joints that stand still, those that the log states among them; raises
+    UsageError where it states one that moves."""
     still = {
         # A hinge or slide rests where the zero configuration of the model has it; other kinds are
         # locked in their frame.
         joint.name: float(robot.mj.qpos0[joint.qadr]) if joint.kind in SCALAR else 0.0
         for joint in robot.joints
-        if moving.isdisjoint(joint.dofs) and not (joint.kind == "free" and first.base is not None)
+        if moving.isdisjoint(joint.dofs) and not (joint.kind == "free" and log.base is not None)
     }
-    for name in first.locked or {}:
+    stated = log.locked or {}
+    for name in stated:
         if name not in still:
             known = ", ".join(still) or "none"
             raise UsageError(
-                f"{first.source}: locked names {name!r}, which is recorded or does not exist; "
+                f"{log.source}: locked names {name!r}, which is recorded or does not exist; "
                 f"joints that stand still are: {known}."
             )
-    return replace(manifest, locked={**manifest.locked, **still, **(first.locked or {})})
+    return {**still, **stated}
 
 
 def _check_alike(log: LogDescription, first: LogDescription, takes_base: bool) -> None:

@@ -177,13 +177,7 @@ def unknowns_of(
     Raises UnsupportedError for a task that recordings do not support, UsageError where the logs do
     not fit the task.
     """
-    definition = find_task(task)
-    if not definition.supports_recordings:
-        served = [name for name in known("task") if find_task(name).supports_recordings]
-        raise UnsupportedError(
-            f"The task {definition.name!r} needs a robot with known parameters; recordings support "
-            f"{' and '.join(map(repr, served))}."
-        )
+    definition = _task_of_recordings(task)
     if position_given and not definition.identifies_payload:
         raise UsageError("A given position needs a task that identifies the payload: 'payload'.")
     if definition.measures_sensor_only:
@@ -193,13 +187,7 @@ def unknowns_of(
             f"The task {task!r} of a recording uses the torques of joints; the sensor {sensor!r} "
             "needs --task wrench."
         )
-    for log in training:
-        if not log.log.description.has_torque:
-            raise UsageError(
-                f"{log.log.description.source} has no torques, which the task {definition.name!r} "
-                "needs: write tau = { columns = [...] }, or identify what is distal to the sensor "
-                "with --task wrench."
-            )
+    _check_torques(definition, training)
     robot, loaded = _robots(definition, training)
     rows, words = training[0].log.joints, words_of_features(terms, robot)
     inertial = columns_of(unknown_bodies(robot))
@@ -214,6 +202,29 @@ def unknowns_of(
         robot, loaded, inertial, columns, rows,
         features=features, words=words, extra=extra, given=position_given,
     )  # fmt: skip
+
+
+def _task_of_recordings(task: str) -> TaskDefinition:
+    """The task of this name; raises UnsupportedError for one that recordings do not support."""
+    definition = find_task(task)
+    if not definition.supports_recordings:
+        served = [name for name in known("task") if find_task(name).supports_recordings]
+        raise UnsupportedError(
+            f"The task {definition.name!r} needs a robot with known parameters; recordings support "
+            f"{' and '.join(map(repr, served))}."
+        )
+    return definition
+
+
+def _check_torques(task: TaskDefinition, training: Sequence[ProcessedLog]) -> None:
+    """Raise UsageError for a log without torques."""
+    for log in training:
+        if not log.log.description.has_torque:
+            raise UsageError(
+                f"{log.log.description.source} has no torques, which the task {task.name!r} "
+                "needs: write tau = { columns = [...] }, or identify what is distal to the sensor "
+                "with --task wrench."
+            )
 
 
 def _sensor_unknowns(

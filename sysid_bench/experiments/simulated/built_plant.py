@@ -93,14 +93,11 @@ def _drawn_plugin(
     make = loaded.plugin_of(entry.kind, entry.spec)
     fields, names = plugin_fields(make), _joint_names(entry, make, robot)
     defaults = {field.name: field.default for field in dataclasses.fields(make)} if fields else {}
-    slides = {joint.dofs[0] for joint in robot.joints if joint.kind == "slide"}
+    is_composed = spec.plant.get("use") == COMPOSED
 
     def lengths(key: str, written: Any) -> Array:
-        """SLIDE (m/rad) for each slide of a composed plant whose size is written as an angle, and
-        1 for every other joint."""
-        angle = spec.plant.get("use") == COMPOSED and fields[key].unit == ANGLE
-        angle = angle and is_rotation(written)
-        return np.array([SLIDE if angle and name in slides else 1.0 for name in names])
+        is_angle = is_composed and fields[key].unit == ANGLE and is_rotation(written)
+        return _slide_lengths(robot, names) if is_angle else np.ones(len(names))
 
     sizes: dict[str, Array | float] = {}
     # Angles that hold for all joints, defaults among them, are lengths on slides.
@@ -128,6 +125,12 @@ def _drawn_plugin(
         scale = quantity(1.0, (fields[key].unit if key in fields else None) or "1")
         drawn[key] = (np.asarray(x) / scale).tolist()
     return loaded.build_plugin(entry.kind, {**entry.spec, **drawn}), rows
+
+
+def _slide_lengths(robot: RobotModel, names: Sequence[str]) -> Array:
+    """SLIDE (m/rad), which makes a length of an angle, for each slide and 1 for other joints."""
+    slides = {joint.dofs[0] for joint in robot.joints if joint.kind == "slide"}
+    return np.array([SLIDE if name in slides else 1.0 for name in names])
 
 
 def _joint_names(entry: PlantEntry, make: Any, robot: RobotModel) -> Sequence[str]:

@@ -91,23 +91,24 @@ def size_limits(spec: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
     if not ranges:
         return (dict(spec),)
     for key, value in ranges.items():
-        what = f"{key} of {spec['use']!r}"
-        if set(value) != {"from", "to"}:
-            raise UsageError(
-                f"{what}: a drawn size has the keys 'from' and 'to', as "
-                f"{{ from = 0, to = 1 }}; got {sorted(value)}."
-            )
-        ends = value["from"], value["to"]
-        if all(isinstance(end, (int, float, str)) for end in ends):
-            (low, unit), (high, other) = (parse_quantity(str(end)) for end in ends)
-            # Limits in two units are compared where the unit of the setting is known.
-            if unit == other and low > high:
-                raise UsageError(
-                    f"{what}: the range from {ends[0]} to {ends[1]} ends below its begin."
-                )
+        _check_range(f"{key} of {spec['use']!r}", value)
     return tuple(
         {**spec, **{key: value[end] for key, value in ranges.items()}} for end in ("from", "to")
     )
+
+
+def _check_range(what: str, value: Mapping[str, Any]) -> None:
+    if set(value) != {"from", "to"}:
+        raise UsageError(
+            f"{what}: a drawn size has the keys 'from' and 'to', as "
+            f"{{ from = 0, to = 1 }}; got {sorted(value)}."
+        )
+    ends = value["from"], value["to"]
+    if all(isinstance(end, (int, float, str)) for end in ends):
+        (low, unit), (high, other) = (parse_quantity(str(end)) for end in ends)
+        # Limits in two units are compared where the unit of the setting is known.
+        if unit == other and low > high:
+            raise UsageError(f"{what}: the range from {ends[0]} to {ends[1]} ends below its begin.")
 
 
 def random_limits(entry: PlantEntry, make: Any) -> dict[str, tuple[float, float]]:

@@ -230,11 +230,7 @@ def record(
     torque_noise = torque_std * noise.torque_noise(torque_draws)
     raw = moved.recording(simulated, repetition.seed, torque_noise, pipeline.ideal_rates)
     if noise.tau_drift:
-        # Drift (N m/s, N/s) is common to all runs, which follow each other without a pause, so
-        # that differences of runs contain it.
-        draw = np.random.default_rng(drift_seed(spec)).normal(size=raw.tau.shape[1])
-        start = repetition.index * len(raw) / raw.rate
-        raw = replace(raw, tau=raw.tau + (raw.t + start)[:, None] * (noise.tau_drift * draw))
+        raw = _with_drift(raw, noise.tau_drift, drift_seed(spec), repetition.index)
     if simulated.task.cuts:
         raw = _with_wrenches(spec, simulated, raw, moved.oracle, run)
     raw = built.chain.stored(raw, built.random_by_stage(repetition.seed))
@@ -253,6 +249,14 @@ def record(
         rows=processed.rows,
         margin=processed.margin,
     )
+
+
+def _with_drift(raw: Recording, drift: float, seed: int, index: int) -> Recording:
+    """The recording with a drift of its torques (N m/s, N/s). It is common to all runs, which
+    follow each other without a pause, so that differences of runs contain it."""
+    draw = np.random.default_rng(seed).normal(size=raw.tau.shape[1])
+    start = index * len(raw) / raw.rate
+    return replace(raw, tau=raw.tau + (raw.t + start)[:, None] * (drift * draw))
 
 
 @dataclass(frozen=True, eq=False)

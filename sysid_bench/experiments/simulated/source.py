@@ -1,6 +1,6 @@
 """Simulated data as a source: the ground truth, and scores of estimates against it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, Final
@@ -195,15 +195,7 @@ class SimulatedSource:
         if beta is None:
             return []
         verdict, beta_true = parameter_verdict(base), base.K @ theta
-        errors = {"base_error": beta - beta_true}
-        for name, bound in (("bound", self.bound), ("bound_encoders", self.encoder_bound)):
-            if bound is not None:
-                errors[name] = bound
-        holds = {}
-        if targets is not None:
-            holds = {
-                f"held_{kind}": held(x, beta, targets.values) for kind, x in deviations.items()
-            }
+        of_base = list(self._base_fields(beta, beta_true, deviations, targets))
         spreads = {f"std_{kind}": deviation.std for kind, deviation in deviations.items()}
         kind = next(iter(deviations), None)
         if kind is not None:
@@ -221,14 +213,35 @@ class SimulatedSource:
             i = base_index.get(j)
             if i is None:
                 continue
-            row |= {key: float(x[i]) for key, x in errors.items()}
-            if targets is not None:
-                row |= {"class": str(targets.classes[i])}
-                row |= {key: int(x[i]) for key, x in holds.items()}
+            row |= of_base[i]
             # A base parameter has the deviation of its pivot only where the pivot stands alone.
             if estimate.theta is None or verdict[j] == "identifiable":
                 row |= {"std_from": kind, **{key: float(x[i]) for key, x in spreads.items()}}
         return rows
+
+    def _base_fields(
+        self,
+        beta: Array,
+        beta_true: Array,
+        deviations: Mapping[str, StandardError],
+        targets: TrueValues | None,
+    ) -> Iterator[Row]:
+        """Yield for each base parameter its error, bounds and class, and what holds its target."""
+        errors = {"base_error": beta - beta_true}
+        for name, bound in (("bound", self.bound), ("bound_encoders", self.encoder_bound)):
+            if bound is not None:
+                errors[name] = bound
+        holds = {}
+        if targets is not None:
+            holds = {
+                f"held_{kind}": held(x, beta, targets.values) for kind, x in deviations.items()
+            }
+        for i in range(len(beta)):
+            row: Row = {key: float(x[i]) for key, x in errors.items()}
+            if targets is not None:
+                row |= {"class": str(targets.classes[i])}
+                row |= {key: int(x[i]) for key, x in holds.items()}
+            yield row
 
 
 def _prediction_fields(

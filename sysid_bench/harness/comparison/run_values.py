@@ -103,13 +103,6 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
     found = {
         cell: cell_values(first, rows.get(cell), axes, metrics) for cell, first in planned.items()
     }
-    speeds: Mapping[Key, Speed] = {}
-    if times:
-        needed = ["id", "estimator", "status", "seconds_cpu", "seconds_experiment_cpu"]
-        timed = folder.frames().read("cells", [*needed, _KERNEL_TIME])
-        if {*needed} <= {*timed.columns}:  # rows from before CPU times were stored have no speed
-            done = [row for row in _records(timed) if row["status"] == "ok"]
-            speeds = relative_speed(part_times(done, planned))
     return RunValues(
         name=folder.suite.name,
         axes=axes,
@@ -117,8 +110,18 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
         cells=found,
         parameters=_true_parameters(folder, cells),
         origin=folder.environment,
-        speeds=speeds,
+        speeds=_speeds(folder, planned) if times else {},
     )
+
+
+def _speeds(folder: RunFolder, planned: Mapping[str, Mapping[str, Any]]) -> dict[Key, Speed]:
+    """Speeds of the parts; rows from before CPU times were stored have none."""
+    needed = ["id", "estimator", "status", "seconds_cpu", "seconds_experiment_cpu"]
+    timed = folder.frames().read("cells", [*needed, _KERNEL_TIME])
+    if not {*needed} <= {*timed.columns}:
+        return {}
+    done = [row for row in _records(timed) if row["status"] == "ok"]
+    return relative_speed(part_times(done, planned))
 
 
 _KERNEL_TIME: Final = "seconds_kernel_cpu"

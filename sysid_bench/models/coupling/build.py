@@ -66,11 +66,7 @@ def group_of(
     units, row_units = _scales(constraints, J, coordinates.lengths[dofs])
     scaled = J * units / row_units[:, None]
     count = _rank(scaled)
-    # Dofs that are alone on the left side of an equality: polynomials of the others.
-    equalities = [c for c in constraints if isinstance(c, PolynomialCoupling)]
-    alone = [c for c in equalities if np.count_nonzero(c.first) == 1]
-    mimics = {c.dofs[int(np.argmax(c.first != 0))] for c in alone}
-    passive = mimics | set(np.flatnonzero(~coordinates.driven).tolist())
+    passive = _mimics(constraints) | set(np.flatnonzero(~coordinates.driven).tolist())
     # Those that may be dependent: the passive ones first, which mimic another one or belong to a
     # ball or free joint, then those without a motor, then the rest; each from the end of the tree.
     members = (passive, {*dofs.tolist()} - passive - actuated, actuated - passive)
@@ -93,6 +89,13 @@ def group_of(
         row_units=row_units,
     )
     return _closed_at_reference(group, names)
+
+
+def _mimics(constraints: Sequence[Constraint]) -> set[int]:
+    """Dofs that are alone on the left side of an equality: polynomials of the others."""
+    equalities = [c for c in constraints if isinstance(c, PolynomialCoupling)]
+    alone = [c for c in equalities if np.count_nonzero(c.first) == 1]
+    return {c.dofs[int(np.argmax(c.first != 0))] for c in alone}
 
 
 def _scales(constraints: Sequence[Constraint], J: Array, slides: Array) -> tuple[Array, Array]:

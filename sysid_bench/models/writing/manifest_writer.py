@@ -1,5 +1,6 @@
 """Writing of a robot's manifest: the text of a robot.toml that reads back as given."""
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import tomlkit
@@ -38,6 +39,10 @@ def manifest_text(manifest: Manifest, file: str) -> str:
     given = {key: keys[key] for key in order if keys[key] not in (None, False, (), [], {})}
     if not manifest.couplings:
         given["couplings"] = False
+    return _toml_text(given)
+
+
+def _toml_text(keys: Mapping[str, Any]) -> str:
     # TOML knows no tuples; values of the top table stand before the first table.
-    plain = {key: list(x) if isinstance(x, tuple) else x for key, x in given.items()}
+    plain = {key: list(x) if isinstance(x, tuple) else x for key, x in keys.items()}
     return tomlkit.dumps(dict(sorted(plain.items(), key=lambda x: isinstance(x[1], (dict, list)))))

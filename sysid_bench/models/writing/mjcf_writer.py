@@ -234,9 +234,15 @@ def with_position_actuators(text: str, actuators: Sequence[PositionDrive], name:
             new = "" if k else actuator.element(one.attributes.get("name", label))
             end = one.tail if one.empty else data.index(b">", one.tail) + 1
             edits.append(Edit(one.start, end, new))
-    if added and sections:
-        edits.append(element_edit(data, sections[0], "\n".join(added)))
-    elif added:
-        lines = "".join(f"    {one}\n" for one in added)
-        edits.append(Edit(root.tail, root.tail, f"\n  <{SECTION}>\n{lines}  </{SECTION}>\n"))
+    if added:
+        edits.append(_added_actuators(data, root, added))
     return edit_text(data, edits)
+
+
+def _added_actuators(data: bytes, root: Element, added: Sequence[str]) -> Edit:
+    """The edit that puts elements into the first section of actuators, or into a new one."""
+    section = next((child for child in root.children if child.tag == SECTION), None)
+    if section is not None:
+        return element_edit(data, section, "\n".join(added))
+    lines = "".join(f"    {one}\n" for one in added)
+    return Edit(root.tail, root.tail, f"\n  <{SECTION}>\n{lines}  </{SECTION}>\n")

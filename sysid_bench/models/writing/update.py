@@ -68,6 +68,11 @@ def update_of(
                 raise unknown_name(kind, name, known, f"({path.name})")
     phi = {name: _phi(name, value) for name, value in bodies.items()}
     terms = {name: _terms(name, values) for name, values in joints.items()}
+    _check_possible(phi)
+    return Update(robot, phi, terms)
+
+
+def _check_possible(phi: Mapping[str, Array]) -> None:
     impossible = []
     for name, values in phi.items():
         smallest = float(feasible_margins(values))
@@ -79,7 +84,6 @@ def update_of(
             f"Not written: no body can have the parameters of {', '.join(impossible)}; the "
             "pseudo-inertia must be positive semidefinite: use an estimator with that constraint."
         )
-    return Update(robot, phi, terms)
 
 
 def _phi(name: str, value: BodyValue) -> Array:

@@ -184,14 +184,7 @@ def _read_hdf5(path: Path, group: str, separator: str = "/") -> LogTable:
         below = file.get(group) if group else file
         if not isinstance(below, h5py.Group):
             raise UsageError(f"{path} has no group {group!r}; at its top are {', '.join(file)}.")
-        names: list[str] = []
-        below.visit(names.append)  # links to other files are left
-        found = {name: below[name] for name in names if not name.startswith("#")}
-        datasets = {
-            name: x for name, x in found.items()
-            if isinstance(x, h5py.Dataset) and x.ndim in (1, 2) and x.dtype.kind in "fiub"
-            and x.attrs.get("MATLAB_class") != b"char"  # MATLAB keeps texts as numbers
-        }  # fmt: skip
+        datasets = dict(_numeric_datasets(below, h5py.Dataset))
         size = sum(8 * math.prod(dataset.shape) for dataset in datasets.values())
         check_size(path, size, " Choose one part with reader = { use = 'hdf5', group = '...' }.")
         foreign = [name for name, x in datasets.items() if x.external or x.is_virtual]
@@ -199,6 +192,17 @@ def _read_hdf5(path: Path, group: str, separator: str = "/") -> LogTable:
             raise UsageError(f"{path}: {foreign[0]!r} lies in another file; copy it into this one.")
         named = {name.replace("/", separator): dataset for name, dataset in datasets.items()}
         return replace(table_of_arrays(path, named), rate=_stated_rate(file))
+
+
+def _numeric_datasets(group: Any, kind: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the datasets of numbers with one or two axes in a group of an HDF5 file, by name."""
+    names: list[str] = []
+    group.visit(names.append)  # links to other files are left
+    for name in names:
+        x: Any = None if name.startswith("#") else group[name]
+        is_numeric = isinstance(x, kind) and x.ndim in (1, 2) and x.dtype.kind in "fiub"
+        if is_numeric and x.attrs.get("MATLAB_class") != b"char":  # MATLAB keeps texts as numbers
+            yield name, x
 
 
 def _stated_rate(file: Any) -> float | None:

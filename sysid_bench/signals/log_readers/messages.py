@@ -64,20 +64,8 @@ class Rosbag2:
             if not stamps:
                 raise UsageError(f"{path} holds no message of {connections[0].topic!r}.")
             start = min(stamps[0], bag.start_time)
-        # Differences of whole nanoseconds: s since 1970 would be rounded to 0.2 us.
-        times = {"t": stamps, "t_header": headers} if any(headers) else {"t": stamps}
-        seconds = {
-            name: np.array([int(stamp) - start for stamp in part], dtype=float) * 1e-9
-            for name, part in times.items()
-        }
-        columns = {**seconds, **columns}
-        single: dict[str, tuple[int, ...]] = {name: (i,) for i, name in enumerate(columns)}
-        # Columns of a kind of joint signals have a name together, unless a single one has it.
-        for kind in _JOINT_SIGNALS:
-            found = tuple(i for i, name in enumerate(columns) if name.endswith(f"_{kind}"))
-            if len(found) > 1:
-                single.setdefault(kind, found)
-        return LogTable(path, np.column_stack(list(columns.values())), single)
+        columns = {**_seconds(stamps, headers, start), **columns}
+        return LogTable(path, np.column_stack(list(columns.values())), _indices(list(columns)))
 
     def _of_topic(self, path: Path, connections: Sequence[Any]) -> list[Any]:
         """Return the connections of the topic; raises UsageError with all topics where it is not
@@ -92,6 +80,27 @@ class Rosbag2:
             f"{path}: which topic? Name one of {first_names(listed)} with reader = {{ use = "
             "'rosbag2', topic = '...' }."
         )
+
+
+def _seconds(stamps: Sequence[int], headers: Sequence[int], start: int) -> dict[str, Array]:
+    """Return the stamps of bag and header (ns), if there are any, in s from the start."""
+    # Differences of whole nanoseconds: s since 1970 would be rounded to 0.2 us.
+    times = {"t": stamps, "t_header": headers} if any(headers) else {"t": stamps}
+    return {
+        name: np.array([int(stamp) - start for stamp in part], dtype=float) * 1e-9
+        for name, part in times.items()
+    }
+
+
+def _indices(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Return the columns of each name; those of a kind of joint signals have a name together,
+    unless a single one has it."""
+    indices: dict[str, tuple[int, ...]] = {name: (i,) for i, name in enumerate(names)}
+    for kind in _JOINT_SIGNALS:
+        found = tuple(i for i, name in enumerate(names) if name.endswith(f"_{kind}"))
+        if len(found) > 1:
+            indices.setdefault(kind, found)
+    return indices
 
 
 def _messages(
@@ -143,16 +152,22 @@ def _joint_columns(path: Path, messages: Iterable[tuple[int, Any]], joint: str) 
         joints = ordered
         stamps.append(stamp)
         headers.append(_header_stamp(message))
-        # NaN where a message has no such signal.
-        parts = [getattr(message, signal) for signal in _JOINT_SIGNALS]
-        empty = np.full(len(order), np.nan)
-        rows.append(np.concatenate([x[order] if len(x) == len(order) else empty for x in parts]))
-    if not rows:
-        return stamps, headers, {}
+        rows.append(_joint_row(message, order))
+    return stamps, headers, _stated_columns(rows, joints) if rows else {}
+
+
+def _stated_columns(rows: Sequence[Array], joints: Sequence[str]) -> dict[str, Array]:
+    """Return the joint signals that any message has, by name."""
     values = np.array(rows).reshape(len(rows), -1)
     words = [f"{name}_{signal}" for signal, name in product(_JOINT_SIGNALS, joints)]
-    stated = {word: x for word, x in zip(words, values.T, strict=True) if np.isfinite(x).any()}
-    return stamps, headers, stated
+    return {word: x for word, x in zip(words, values.T, strict=True) if np.isfinite(x).any()}
+
+
+def _joint_row(message: Any, order: list[int]) -> Array:
+    """Return the signals of a joint state, NaN where it has no such signal."""
+    parts = [getattr(message, signal) for signal in _JOINT_SIGNALS]
+    empty = np.full(len(order), np.nan)
+    return np.concatenate([x[order] if len(x) == len(order) else empty for x in parts])
 
 
 def _header_stamp(message: Any) -> int:
