@@ -29,7 +29,7 @@ IDS = ("0a1b2c3d4e5f", "0a9b2c3d4e5f", "ff1b2c3d4e5f")
 FREE = frozenset((
     "also", "at", "base", "boxes", "clamp", "contacts", "export", "family", "gains",
     "joints", "limits", "margin", "massless", "motor_types", "name", "noise", "objective", "others",
-    "overrides", "period", "rate", "sensor", "shard", "share", "timeout", "tool",
+    "overrides", "period", "rate", "sensor", "shard", "share", "timeout",
 ))  # fmt: skip
 """Options whose values are the user's own."""
 
