@@ -107,6 +107,8 @@ def run(
             if not isinstance(suite, Suite):
                 suite = _load(str(source), known, overrides, request)
             plan = cells_of_suite(suite, known, large=large)
+        if select is not None:
+            Expression.parse(select, plan.fields)  # an unknown field leaves no folder behind
         folder = RunFolder.new(out or Path("reports") / suite.name, suite, plan, environment())
     third_party = third_party_names(folder.suite, robots_dir)
     if note := code_note(third_party):

@@ -56,6 +56,7 @@ RUNS = {
     "cells run --show torque_eror": "'torque_error'",
     "table run erors": "'errors'",
     "status nowhere": "'nowhere' is not a run",
+    "run s.toml -o other --select 'robt == 1'": "Did you mean 'robot'?",
     "run nowhere.toml": "nowhere.toml",
     "run smok": "'smoke'",
     "plan s.toml --select 'robt == 1'": "'robot'",
