@@ -40,30 +40,34 @@ _PATHS: Final[Mapping[str, Mapping[str, Any]]] = {
 _HELP: Final = ("-h", "--help")
 HELP_ALL: Final = "--help-all"
 _JSON: Final = "as_json"
+_MODELS: Final = "basis crosscheck diagnose excite frames identify lint record robot twin"
 _REMOVED: Final = {
-    "--assets": "write it behind the file, 'arm.xml?assets=meshes'",
-    "--tool": "write it behind the file, 'arm.urdf?tool=upper'",
-    "--free-base": "write it behind the file, 'arm.urdf?free_base=true'",
-    "--robots": "name the robot's file",
-    "--json-out": "use --json > FILE",
-    "--derivatives": "use 'signals' of a suite, or derivatives= of sysid_bench.identify",
-    "--moving": "use 'signals' of a suite, or moving= of sysid_bench.identify",
-    "--cycles": "use --set cycles=2",
-    "--torque-share": "use --set torque_share=0.5",
-    "--clearance": "use --set clearance=0.02",
-    "--floor": "use --set floor=0",
-    "--partial": "use run --baseline",
-    "--force": "remove the file first",
-    "--all": "pipe the list, | less",
-    "--zero": "use zero= of sysid_bench.paper_table",
-    "--values": "use values= of sysid_bench.paper_table",
-    "--memory": "use memory= of sysid_bench.SurveyRequest",
-    "--title": "a report has the title of its source",
-    "--methods": "use methods= of sysid_bench.transfer",
-    "--levels": "use levels= of sysid_bench.transfer",
-    "--gravity": "write gravity = [...] into robot.toml",
+    "--assets": (_MODELS, "write it behind the file, 'arm.xml?assets=meshes'"),
+    "--tool": (_MODELS, "write it behind the file, 'arm.urdf?tool=upper'"),
+    "--free-base": (_MODELS, "write it behind the file, 'arm.urdf?free_base=true'"),
+    "--robots": ("lint frames diagnose twin log record show check-plugin", "name the robot's file"),
+    "--json-out": ("diagnose", "use --json > FILE"),
+    "--derivatives": (
+        "identify",
+        "use signals of a suite, or derivatives= of sysid_bench.identify",
+    ),
+    "--moving": ("identify", "use signals of a suite, or moving= of sysid_bench.identify"),
+    "--cycles": ("excite", "use --set cycles=2"),
+    "--torque-share": ("excite", "use --set torque_share=0.5"),
+    "--clearance": ("excite", "use --set clearance=0.02"),
+    "--floor": ("excite", "use --set floor=0"),
+    "--partial": ("gate", "use run --baseline"),
+    "--force": ("estimator log robot suite", "remove the file first"),
+    "--all": ("list", "pipe the list, | less"),
+    "--zero": ("basis", "use zero= of sysid_bench.paper_table"),
+    "--values": ("basis", "use values= of sysid_bench.paper_table"),
+    "--memory": ("survey", "use memory= of sysid_bench.SurveyRequest"),
+    "--title": ("survey", "a report has the title of its source"),
+    "--methods": ("transfer", "use methods= of sysid_bench.transfer"),
+    "--levels": ("transfer", "use levels= of sysid_bench.transfer"),
+    "--gravity": ("robot", "write gravity = [...] into robot.toml"),
 }
-"""Options of earlier versions, and what to do in their place."""
+"""Options of earlier versions: verbs that had them, and what to do in their place."""
 
 
 # --- A command from a request -------------------------------------------------------------------
@@ -182,9 +186,13 @@ class _Verb(click.Command):
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            if error.option_name in _REMOVED:
-                word = f"{error.option_name} is not an option of this command any more: "
-                raise click.UsageError(word + _REMOVED[error.option_name] + ".", ctx) from error
+            verbs, advice = _REMOVED.get(error.option_name, ("", ""))
+            if ctx.info_name in verbs.split():
+                word = f"{error.option_name} is not an option of this command any more: {advice}."
+                raise click.UsageError(word, ctx) from error
+            if error.option_name == "--confidence":
+                word = "--confidence stands before the verb: sysid-bench --confidence 0.9 VERB ..."
+                raise click.UsageError(word, ctx) from error
             raise
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
