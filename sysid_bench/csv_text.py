@@ -32,7 +32,7 @@ def _without_formula(cell: object) -> object:
 
 def _is_number(text: str) -> bool:
     try:
-        # "-1.5" begins like a formula and is a number; "-inf" is no number for a spreadsheet.
+        # "-1.5" begins like a formula and is a number; "-inf" is not a number for a spreadsheet.
         return math.isfinite(float(text))
     except ValueError:
         return False

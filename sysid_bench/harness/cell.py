@@ -161,7 +161,7 @@ def _names(*names: str) -> str | tuple[str, ...]:
     return different[0] if len(different) == 1 else different
 
 
-# Rough figures, of one core of 2025: they share out work and tell minutes from hours. Rows of
+# Rough figures, of one core of 2025: they share out work and separate minutes from hours. Rows of
 # earlier runs replace them (run_time.py).
 START: Final = 11.0
 """Start of the processes, tables, figures and report."""

@@ -116,7 +116,7 @@ class RunFolder:
         with folder.lock():
             hashed = True
             if is_file(path / PLAN):
-                # By cells, not by the text of the suite: another table or title is no other run.
+                # By cells, not by the text of the suite: another table or title is the same run.
                 stored = {cell.id for cell in folder.plan.cells}
                 planned = {cell.id for cell in plan.cells}
                 if stored != planned:

@@ -109,7 +109,7 @@ def with_best(table: Table, best: str) -> Table:
     for keys in _competitions(table):
         metric = table.metric_of(keys[0][1])
         choice = _MARKS.get(best, _DIRECTIONS.get(metric.better))
-        # Errors below the floor are one number: the smallest rounding is no merit.
+        # Errors below the floor are one number: a smaller rounding error is not a merit.
         values = _above_floor(table, keys, metric.floor * metric.scale)
         # Equal values of all, as the condition number of data that they share, are no merit.
         if choice and values and (len(values) == 1 or len({*values.values()}) > 1):

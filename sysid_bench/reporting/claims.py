@@ -105,7 +105,7 @@ def _numbers(lines: pd.DataFrame, metric: str) -> Array:
     values = pd.to_numeric(given.where(lines["status"] == "ok"), errors="coerce").to_numpy(float)
     if np.isnan(values).all():
         raise MissingRowsError(f"no row has the metric {metric}")
-    # An infinite error is no number to average: it counts as an answer that is missing.
+    # An infinite error cannot be averaged: it counts as an answer that is missing.
     return np.where(np.isfinite(values), values, np.nan)
 
 
@@ -130,7 +130,7 @@ def _left_out_values(lines: pd.DataFrame, over: str) -> ClaimValues:
     not. Parameters that are on a bound, or have no value, in one of them are left out."""
     of = lines.assign(unit=_units(lines, over))
     table = of.pivot_table(index="unit", columns=PARAMETER, values="estimate", aggfunc="mean")
-    # A value on its bound is no estimate, and the range of equal values would be a point.
+    # A value on its bound is not an estimate, and the range of equal values would be a point.
     bound = set(of.loc[of[VERDICT] == AT_BOUND, PARAMETER])
     free = table.drop(columns=[name for name in table if name in bound]).dropna(axis=1)
     if free.shape[1] == 0 or len(free) < 3:

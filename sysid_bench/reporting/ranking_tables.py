@@ -80,7 +80,7 @@ def _verdict_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
     rank = ranking.rank_interval.get(one.method)
     corrected = ranking.holm_p.get(one.method)
     is_reference = one.method == ranking.against
-    # The reference against itself is no comparison.
+    # The reference against itself is not a comparison.
     tested = NO_ENTRY if is_reference or not one.robots else _number(one.p)
     return (
         NO_ENTRY if rank is None else _number(*map(_finite, rank)),

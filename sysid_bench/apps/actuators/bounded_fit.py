@@ -170,7 +170,7 @@ def bounded_fit(
             factors[j] = x[own]
             values[j], covariances[j] = _physical(x[own], covariance[np.ix_(own, own)], group.more)
             residuals[:, j] = r[i * group.samples : (i + 1) * group.samples]
-    # The offset has either sign: zero is no bound of it.
+    # The offset has either sign: zero does not bound it.
     at_bound = (values[:, : SIGNED + 1] == 0.0) & (np.arange(SIGNED + 1) != SIGNED)
     std = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     (own_values, more), (own_std, more_std) = (

@@ -202,7 +202,7 @@ def delay_information(
         for i, j in enumerate(group.joints):
             direction[j] = x[group.columns(i)[: SIGNED + 1]]
             left[:, j] = rest[i * group.samples : (i + 1) * group.samples]
-    # In units of the residuals: a share that is smaller than they are is no separation.
+    # In units of the residuals: a share below them does not separate the delay from the others.
     scale = np.maximum(fit.errors, 1e-12)
     whole, apart = (float(np.sqrt(np.mean((x / scale) ** 2))) for x in (effect, left))
     return DelayInformation(apart / whole, 1.0 / apart, direction)

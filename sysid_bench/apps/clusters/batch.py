@@ -129,7 +129,7 @@ def run_files(folders: Sequence[Path]) -> RunFiles:
             archive.addfile(folder)
             for file in _files(Path(root)):
                 entry = archive.gettarinfo(file, arcname=f"{i}/{file.relative_to(root)}")
-                # The same content is the same bundle, whoever sends it.
+                # The same content is the same bundle, from any sender.
                 entry.mtime, entry.uid, entry.gid, entry.uname, entry.gname = 0, 0, 0, "", ""
                 with file.open("rb") as data:
                     archive.addfile(entry, data)

@@ -92,7 +92,7 @@ class OutputError:
         if self.kind == DIFFERENCES:
             return self._differences(trial)
         if self.kind == FIRST:
-            # Kept in the instance, which is frozen: a Jacobian is no setting.
+            # Kept in the instance, which is frozen: a Jacobian is not a setting.
             if "first" not in vars(self):
                 vars(self)["first"] = self._differences(trial)
             return np.asarray(vars(self)["first"])

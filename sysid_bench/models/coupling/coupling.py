@@ -95,7 +95,7 @@ class Coupling:
             x = coordinates.read(q)
             F = group.follow(x)
             if coordinates.rotations:
-                # Velocities of a rotation are no derivatives of its coordinates: v_dep = V_dep u
+                # Velocities of a rotation are not derivatives of its coordinates: v_dep = V_dep u
                 # and v_ind = V_ind u, so that F = V_dep V_ind^-1.
                 L = np.zeros((len(x), len(group.dofs), len(group.independent)))
                 L[:, group.independent, np.arange(len(group.independent))] = 1.0

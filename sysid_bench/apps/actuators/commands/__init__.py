@@ -1,1 +1,1 @@
-"""What verbs do with the task `actuators`: identify, excite, diagnose."""
+"""Verbs identify, excite and diagnose with the task `actuators`."""

@@ -90,7 +90,7 @@ class ActuatorsResult(IdentifyResult):
         return "\n".join([*lines, *self._source_lines(), *self._closing_lines()])
 
     def _delay_lines(self) -> Iterator[str]:
-        """The delay, and what cannot be told from it."""
+        """The delay, and what is confounded with it."""
         delay = f"  delay {1e3 * self.delay:.2f} ms"
         if self.delay_interval is None:
             if self.delay:

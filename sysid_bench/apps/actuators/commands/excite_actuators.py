@@ -382,9 +382,9 @@ def _limit_fields(
 def _warnings(
     request: CommandsRequest, problem: CommandProblem, candidate: CommandCandidate
 ) -> Iterator[str]:
-    """What stays open, and what the model does not state."""
+    """Warnings: parameters that stay open, limits that the model does not state."""
     if candidate.information.delay_open > RESOLVED:
-        # The limit that is used up tells what to allow.
+        # The limit that is used up is the one to raise.
         used = _limit_fields(problem, candidate)
         kind = max(used, key=lambda name: float(used[name]["share"]))
         yield (
@@ -405,12 +405,12 @@ def _warnings(
 
 
 def _model_warnings(request: CommandsRequest, problem: CommandProblem) -> Iterator[str]:
-    """What the model does not state, or has to be seen to."""
+    """Warnings about limits and shapes that the model does not state."""
     robot = problem.robot
     whole = load_robot(find_manifest(str(request.robot), request.robots_dir))
     if any(joint.kind == "free" for joint in whole.joints):
         yield "the base is held fixed, on a stand or hung up: no foot may touch the ground"
-    # Loading fills in a usual limit where the file states none: that is no limit of a motor.
+    # Loading fills in a usual limit where the file states none: that is not a limit of a motor.
     usual = [
         joint.name
         for joint, v in zip(robot.joints, problem.v, strict=True)

@@ -339,7 +339,7 @@ def check_submission(
 
     if not 0 < share <= 1:
         raise UsageError(f"The share is {share:g}; give a part of the cells, above 0 and up to 1.")
-    # Not from `random`, whose next numbers can be told from earlier ones.
+    # Not from `random`, whose next numbers follow from earlier ones.
     chosen = secrets.randbelow(2**32) if seed is None else seed
     with without_frames(Path(folder)) as run:
         rows = run.rows()
@@ -401,7 +401,7 @@ def _differences(
 
     select = f"id in [{', '.join(map(repr, cells))}]".replace("'", '"')
     numbers = (name for name in names_of("cell") if not METRICS[name].text)
-    # Times and memory differ on any machine, and are no sign of another answer.
+    # Times and memory differ on any machine, and do not indicate another answer.
     metrics = tuple(name for name in numbers if name not in MACHINE_FIELDS)
     with tempfile.TemporaryDirectory(prefix="sysid-bench-") as folder:
         again = execute(
