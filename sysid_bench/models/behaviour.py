@@ -7,7 +7,7 @@ the order of elements, paths of meshes, colours and what is only drawn do not ch
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -15,6 +15,8 @@ import numpy as np
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.models.assembly import tool_frame
 from sysid_bench.models.behaviour_change import ROBOT, TORQUE, Behaviour, Values
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import BALL, COORDINATES, FREE, HINGE
 from sysid_bench.spatial import matrix_of_quaternion
@@ -28,6 +30,13 @@ is of the size of gravity. Limits do not count: another range must not change to
 _DIGITS: Final = 9
 _NOISE: Final = 1e-12
 """Share of a robot's largest number of a kind below which numbers are rounding."""
+
+
+def computed_record(manifest: Manifest, free_base: bool) -> dict[str, Any]:
+    """Return the record of a robot (see `model_record`), which is loaded."""
+    robot = load_robot(manifest, free_base=free_base)
+    behaviour = behaviour_of(robot)
+    return {"hash": model_hash(robot, behaviour), "behaviour": behaviour}
 
 
 def behaviour_of(robot: RobotModel) -> dict[str, dict[str, Values]]:

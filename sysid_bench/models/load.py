@@ -96,7 +96,9 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
         else:
             ignored = [f"mimic joint {m.joint!r} treated as independent" for m in urdf.mimic]
         repairs = (*ignored, *urdf.repairs)
-        return _Source("urdf", spec, urdf.text.encode(), repairs, urdf.velocity_limits, (), gears)
+        return _Source(
+            "urdf", spec, urdf.text.encode(), repairs, urdf.velocity_limits, (), motors=gears
+        )
     if root == "mujoco":
         try:
             str(manifest.path).encode()
@@ -105,7 +107,7 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
             raise ModelError(f"MuJoCo needs a path in UTF-8; got {name}: rename it.") from error
         text = None if manifest.text is None else data
         spec, repairs, motors = mjcf_spec(manifest.path, text, manifest.assets)
-        return _Source("mjcf", spec, data, repairs, {}, tuple(motors), motors)
+        return _Source("mjcf", spec, data, repairs, {}, tuple(motors), motors=motors)
     if root == "mujocoinclude":
         raise ModelError(
             f"{file} is a part to be included in a model; give the file that includes it."

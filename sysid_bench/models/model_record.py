@@ -37,7 +37,9 @@ def model_record(
             record = parse_json(read_text(file))
             if isinstance(record, dict) and record.keys() == {"hash", "behaviour"}:
                 return record
-        record = _computed(manifest, free)
+        from sysid_bench.models.behaviour import computed_record  # loads MuJoCo
+
+        record = computed_record(manifest, free)
         _keep(file, json.dumps(record))
         return record
     return None
@@ -50,15 +52,6 @@ def _key(manifest: Manifest, free: bool) -> str:
     files = [] if manifest.text is not None else model_states(str(manifest.path))
     code = source_hash(str(PACKAGE_FOLDER / "models"))
     return canonical_hash([stated, free, files, code, version_fields()])
-
-
-def _computed(manifest: Manifest, free: bool) -> dict[str, Any]:
-    from sysid_bench.models.behaviour import behaviour_of, model_hash  # loads MuJoCo
-    from sysid_bench.models.load import load_robot
-
-    robot = load_robot(manifest, free_base=free)
-    behaviour = behaviour_of(robot)
-    return {"hash": model_hash(robot, behaviour), "behaviour": behaviour}
 
 
 def _keep(file: Path, text: str) -> None:
