@@ -86,7 +86,8 @@ class CrosscheckResult(Result):
 
     `gap`: max |Y - Y_pin| / max |Y_pin|, same parameter order and frames. `closure`: max |Y theta +
     armature a - tau_MuJoCo| / max |tau_MuJoCo|. `native_gap`: gap against Pinocchio's own parser,
-    None with `native_reason` where it does not apply.
+    None with `native_reason` where it does not apply. `engine`: the second one, "pinocchio" or,
+    where that is not installed, "mujoco".
     """
 
     robot: str
@@ -101,6 +102,7 @@ class CrosscheckResult(Result):
     closure: float | None = None
     native_gap: float | None = None
     native_reason: str | None = None
+    engine: str | None = None
     base_parameters: int | None = None
     near_degenerate: int | None = None
     coupling: dict[str, Any] | None = None
@@ -200,6 +202,7 @@ def _measured(manifest: "Manifest", request: Crosscheck) -> CrosscheckResult:
         closure=verdict.closure,
         native_gap=verdict.native_gap,
         native_reason=verdict.native_reason,
+        engine=verdict.engine,
         base_parameters=rank,
         near_degenerate=near_degenerate,
         coupling=coupling,

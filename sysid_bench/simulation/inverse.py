@@ -106,9 +106,10 @@ def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
     return tau
 
 
-def independent_torque(robot: RobotModel, motion: Trajectory) -> tuple[Array, float]:
-    """Return the torques (N, n) of a motion of closed chains that the independent joints alone
-    drive, M a + bias - J^T f, and the largest violation of a constraint (rad, m).
+def independent_rows(robot: RobotModel, motion: Trajectory, tree: Array) -> tuple[Array, float]:
+    """Return the rows (N, n, ...) of a motion of closed chains that the independent joints alone
+    drive, from those of the tree (N, nv, ...): M a + bias - J^T f from torques; and the largest
+    violation of a constraint (rad, m).
 
     The constraint forces f follow from zero torque on the dependent joints, with MuJoCo's
     constraint Jacobian J.
@@ -120,8 +121,7 @@ def independent_torque(robot: RobotModel, motion: Trajectory) -> tuple[Array, fl
     mj.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
     mj.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
     data = mujoco.MjData(mj)
-    tree = inverse_torque(robot, motion)
-    tau, violation = tree[:, coupling.independent], 0.0
+    rows, violation = tree[:, coupling.independent], 0.0
     for k in range(len(motion)):
         data.qpos[:] = motion.q[k]
         mujoco.mj_fwdPosition(mj, data)
@@ -129,5 +129,5 @@ def independent_torque(robot: RobotModel, motion: Trajectory) -> tuple[Array, fl
         J = data.efc_J.reshape(data.nefc, mj.nv)[equality]
         violation = max(violation, float(np.abs(data.efc_pos[equality]).max(initial=0.0)))
         force = np.linalg.lstsq(J[:, coupling.dependent].T, tree[k, coupling.dependent])[0]
-        tau[k] -= J[:, coupling.independent].T @ force
-    return tau, violation
+        rows[k] -= J[:, coupling.independent].T @ force
+    return rows, violation
