@@ -11,8 +11,9 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.score import base_parameters, data_figures, score_recorded
 from sysid_bench.excitation.limit_margins import Margins, limit_fields, limit_margins
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.left_out_parts import TermSelection, payload_mass
+from sysid_bench.experiments.recorded.left_out_parts import TermSelection
 from sysid_bench.experiments.recorded.model_prior import ModelPrior
+from sysid_bench.experiments.recorded.payload import payload_mass
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_torque
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.identifiability.base_expressions import (
