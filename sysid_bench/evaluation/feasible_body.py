@@ -40,12 +40,6 @@ class FeasibleBody:
         return self.without is not None
 
 
-def unconstrained_fit(problem: Problem) -> Array:
-    """Return the least-squares base parameters (r,), rows weighted by their residuals; directions
-    that the data leave open are weakly drawn to the prior."""
-    return _lmi(replace(problem, bodies=(), signed=()))[0]
-
-
 def feasible_body(problem: Problem, beta: Array, body: Body) -> FeasibleBody:
     """Return `beta` (r,), moved as little as the data allow where it has no feasible `body`."""
     at = [problem.parameters.index(name) for name in body.columns]
@@ -55,7 +49,7 @@ def feasible_body(problem: Problem, beta: Array, body: Body) -> FeasibleBody:
         return FeasibleBody(beta)
     # Torques whose least-squares fit is beta: the constrained fit is then the nearest one to it in
     # the metric of the data, whatever method beta comes from.
-    shift = beta - unconstrained_fit(problem)
+    shift = beta - _lmi(replace(problem, bodies=(), signed=()))[0]
     factors = []
     for factor in problem.factors:
         R = factor.R.copy()

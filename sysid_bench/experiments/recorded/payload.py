@@ -1,7 +1,7 @@
 """Payloads identified from recordings: mass, centre of mass and inertia, with their intervals."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +12,6 @@ from sysid_bench.evaluation.feasible_body import (
     FeasibleBody,
     body_values,
     feasible_body,
-    unconstrained_fit,
 )
 from sysid_bench.evaluation.intervals import confidence_level, coverage_factor, jackknife_std
 from sysid_bench.evaluation.score import base_parameters
@@ -34,6 +33,9 @@ ROUNDING: Final = 1e-12
 SMALLEST: Final = 1e-6
 """Share of the largest deviation of the joints that each has at least: along the axis of a joint a
 load may have no torque at all, and the weights of the others would be lost in rounding."""
+
+LARGEST: Final = 1e3
+"""Deviation of torque scales that is not looked beyond: the load's mass is then unknown."""
 
 BELOW: Final = 0.158655
 """Probability of a normal variable below minus one standard deviation."""
@@ -79,31 +81,33 @@ def _stated_scale(rows: Sequence[str], training: Sequence[ProcessedLog]) -> Torq
     return TorqueScale("stated", std, common) if any(std.values()) else None
 
 
-def _largest_between(values: Array, std: Array) -> float:
-    """The largest standard deviation of true values behind `values` (n,) that these do not exclude
-    at one standard deviation, given their own deviations `std` (n,): their weighted squares about
-    the mean, Q, fall to the quantile of chi-squared with n - 1 degrees of freedom (Viechtbauer
-    2007).
+def largest_spread(values: Array, std: Array, slopes: Array) -> float:
+    """The largest standard deviation of independent factors (k,) that `values` (n,), which should
+    be equal, do not exclude at one standard deviation, given their own deviations `std` (n,) and
+    their derivatives `slopes` (n, k) by the factors.
 
-    The usual estimate, Q equal to its mean, is zero where the deviations of the joints are large,
-    and would then claim exact gains.
+    Their weighted squares about the mean, Q, fall to the quantile of chi-squared with n - 1 degrees
+    of freedom (Viechtbauer 2007). The usual estimate, Q equal to its mean, is zero where `std` is
+    large, and would then claim exact gains.
     """
     from scipy.optimize import brentq
     from scipy.special import chdtri
 
     # P(Q < quantile) is that of a normal variable below minus one standard deviation.
     quantile = float(chdtri(len(values) - 1, 1.0 - BELOW))
-    std = np.maximum(std, SMALLEST * std.max())
+    own, moved = np.diag(np.maximum(std, SMALLEST * std.max()) ** 2), slopes @ slopes.T
 
-    def excess(between: float) -> float:
-        w = 1 / (std**2 + between**2)
-        return float(w @ (values - w @ values / w.sum()) ** 2) - quantile
+    def excess(spread: float) -> float:
+        w = np.linalg.inv(own + spread**2 * moved)
+        away = values - w.sum(axis=0) @ values / w.sum()
+        return float(away @ w @ away) - quantile
 
     if excess(0.0) <= 0:
         return 0.0
-    # Q is below 1 at n times the largest distance, and the quantile is found below that.
-    most = float(np.ptp(values)) * np.sqrt(len(values) / quantile)
-    return float(brentq(excess, 0.0, most))
+    most = float(np.ptp(values))
+    while excess(most) > 0 and most < LARGEST:
+        most *= 2
+    return float(brentq(excess, 0.0, most)) if most < LARGEST else LARGEST
 
 
 # --- Mass of a load whose place is given ---------------------------------------------------------
@@ -149,8 +153,8 @@ def payload_mass(
     spread, freedom = jackknife_std(np.array(masses)[:, None])
     variance = spread[0] ** 2 + _disagreement(by_joint)
     if stated := _stated_scale(problem.rows, training):
-        slopes = [moved[index] for moved in _scale_slopes(problem)]
-        variance += stated.variance(np.array(slopes)[:, None])[0]
+        each = [np.eye(problem.base.rank)] * len(problem.rows)
+        variance += stated.variance(_scale_slopes(problem, each)[index, :, None])[0]
     mass, std, factor = float(beta[index]), float(np.sqrt(variance)), coverage_factor(freedom)
     interval = (mass - factor * std, mass + factor * std)
     return PayloadMass(mass, std, interval, tuple(masses), confidence_level(), by_joint)
@@ -188,14 +192,25 @@ def _row_mass(factor: Factor, index: int) -> float:
     return float(own @ b / (own @ own) / scale[at[0]])
 
 
-def _scale_slopes(problem: Problem) -> Iterator[Array]:
-    """Yield d beta / d k_i (r,) of the weighted fit by the scale k_i of the torque of each row."""
-    start = unconstrained_fit(problem)
-    for i, factor in enumerate(problem.factors):
-        R = factor.R.copy()
-        R[:, -1] *= 1.0 + STEP
-        moved = (*problem.factors[:i], replace(factor, R=R), *problem.factors[i + 1 :])
-        yield (unconstrained_fit(replace(problem, factors=moved)) - start) / STEP
+def _scale_slopes(problem: Problem, columns: Sequence[Array]) -> Array:
+    """The derivatives (c, rows) by the scale of the torque of each row of x (c,), which the
+    least-squares fit has with beta = columns[i] x in the row i, (r, c) each; rows are weighted by
+    their residuals. NaN where the other unknowns take over the torque of one."""
+    sigma, parts = row_std(problem, RESIDUALS), []
+    for factor, one, std in zip(problem.factors, columns, sigma, strict=True):
+        W = factor.R[:, :-1] @ one[factor.columns]
+        parts.append(np.column_stack([W, factor.R[:, -1]]) / (std or 1.0))
+    A = np.vstack(parts)
+    scale = np.linalg.norm(A[:, :-1], axis=0)
+    # A column that is zero up to rounding would be, at unit length, an unknown of random torque.
+    acts = scale > ROUNDING * scale.max(initial=0.0)
+    inverse = np.linalg.pinv(A[:, :-1] / np.where(acts, scale, np.inf))
+    # The rows of the inverse of unit columns: one over the part that no other column takes over.
+    alone = 1 / np.maximum(np.linalg.norm(inverse, axis=1), np.finfo(float).tiny)
+    row = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    # x is linear in the torques: each row's part of it is its derivative by the scale of the row.
+    slopes = (inverse * A[:, -1]) @ np.eye(len(parts))[row] / np.where(acts, scale, 1.0)[:, None]
+    return np.asarray(np.where((acts & (alone > SEPARATE))[:, None], slopes, np.nan))
 
 
 # --- A load with ten unknowns ---------------------------------------------------------------------
@@ -239,77 +254,71 @@ def recorded_payload(
     parts = leave_one_fold_out(problem, builder, training)
     fits = [_feasible_values(part, _identified(method, part), body, at) for part in parts]
     mass = float(centre[0])
-    by_joint = _masses_by_joint(problem, parts, found.beta, at) if known.all() and mass > 0 else {}
-    scale = _stated_scale(problem.rows, training) or _scale_between(problem.rows, by_joint, mass)
+    by_joint: dict[str, tuple[float, float]] = {}
+    scale = TorqueScale()
+    if known.all() and mass > 0:
+        by_joint, scale = _by_joint(problem, parts, found.beta, at)
+    scale = _stated_scale(problem.rows, training) or scale
+    each = [np.eye(problem.base.rank)] * len(problem.rows)
     slopes = [
         (_feasible_values(problem, beta + STEP * slope, body, at) - centre) / STEP
-        for slope in _scale_slopes(problem)
+        for slope in np.nan_to_num(_scale_slopes(problem, each)).T
     ]
     std, freedom = jackknife_std(np.array(fits))
     reach = _reach(std**2, freedom, scale.variance(np.array(slopes)))
+    intervals = _intervals(centre, reach, known)
+    return RecordedPayload(found, intervals, by_joint, scale)
+
+
+def _intervals(centre: Array, reach: Array, known: Array) -> dict[str, list[list[float]]]:
+    """Ends of those values whose parameters are all in the mask `known` (10,)."""
     low = centre - reach
     low[[0, 4, 7, 9]] = np.maximum(low[[0, 4, 7, 9]], 0.0)  # mass and moments are not negative
     ends = np.stack([low, centre + reach], axis=1)
     # The centre of a mass that may be zero is anywhere.
-    names = [name for name in GROUPS if name == "mass" or low[0] > 0]
-    intervals = {name: ends[GROUPS[name][0]].tolist() for name in names
-                 if known[: GROUPS[name][1]].all()}  # fmt: skip
-    return RecordedPayload(found, intervals, by_joint, scale)
+    return {
+        name: ends[part].tolist()
+        for name, (part, count) in GROUPS.items()
+        if known[:count].all() and (name == "mass" or low[0] > 0)
+    }
 
 
 def _feasible_values(problem: Problem, beta: Array, body: Body, at: Sequence[int]) -> Array:
     return body_values(problem.base.embed(feasible_body(problem, beta, body).beta)[at])
 
 
-def _masses_by_joint(
+def _by_joint(
     problem: Problem, parts: Sequence[Problem], beta: Array, at: Sequence[int]
-) -> dict[str, tuple[float, float]]:
-    """The mass of the load in `beta` (r,) that the torque of each joint shows, with its deviation;
-    `at`: the load's parameters, all identifiable."""
+) -> tuple[dict[str, tuple[float, float]], TorqueScale]:
+    """The mass of the load in `beta` (r,) that the torque of each joint shows, with its deviation,
+    and the spread of the torque scales by which the joints disagree, two or more of them; `at`: the
+    load's parameters, all identifiable."""
     own = [problem.base.pivots.tolist().index(i) for i in at]
     load = np.zeros(problem.base.rank)
     load[own] = beta[own]
-    mass = float(load[own[0]])
-    shares = mass * np.array([_shares_by_joint(one, load, own) for one in (problem, *parts)])
-    spread, _ = jackknife_std(shares[1:])
-    return {
-        row: (float(x), float(std))
-        for row, x, std in zip(problem.rows, shares[0], spread, strict=True)
-        if np.isfinite(x + std)
-    }
+    slopes, *others = (_shares_by_joint(one, load, own) for one in (problem, *parts))
+    # A share is linear in the torques: the sum of its derivatives by their scales.
+    shares = slopes.sum(axis=1)
+    std, _ = jackknife_std(np.array([other.sum(axis=1) for other in others]))
+    known = np.isfinite(shares + std)
+    mass, names = float(load[own[0]]), np.array(problem.rows)[known].tolist()
+    masses = (mass * np.column_stack([shares, std])[known]).tolist()
+    found = {row: (value, deviation) for row, (value, deviation) in zip(names, masses, strict=True)}
+    if known.sum() < 2 or not (std[known] > 0).all():
+        return found, TorqueScale()
+    spread = largest_spread(shares[known], std[known], slopes[known])
+    return found, TorqueScale("joints", dict.fromkeys(problem.rows, spread))
 
 
 def _shares_by_joint(problem: Problem, load: Array, own: Sequence[int]) -> Array:
-    """The factors (rows,) by which the torque of each joint would have a load whose base parameters
-    are `load` (r,), `own` its indices, with all other unknowns common to the joints; NaN where
-    these take over the load's torque."""
-    sigma, r, n = row_std(problem, RESIDUALS), problem.base.rank, len(problem.rows)
-    others, rows = np.setdiff1d(np.arange(r), own), []
-    for i, factor in enumerate(problem.factors):
-        W = np.zeros((len(factor.R), r + n + 1))
-        W[:, factor.columns], W[:, -1] = factor.R[:, :-1], factor.R[:, -1]
-        W[:, r + i] = W[:, :r] @ load
-        rows.append(W / (sigma[i] or 1.0))
-    A = np.vstack(rows)
-    W, b = A[:, [*others, *range(r, r + n)]], A[:, -1]
-    scale = np.linalg.norm(W, axis=0)
-    acts = scale > ROUNDING * scale.max(initial=0.0)
-    inverse = np.linalg.pinv(W / np.where(acts, scale, np.inf))[-n:]
-    # The rows of the inverse of unit columns: one over the part that no other column takes over.
-    alone = 1 / np.maximum(np.linalg.norm(inverse, axis=1), np.finfo(float).tiny)
-    known = acts[-n:] & (alone > SEPARATE)
-    shares: Array = np.where(known, inverse @ b / np.where(acts, scale, 1.0)[-n:], np.nan)
-    return shares
-
-
-def _scale_between(
-    rows: Sequence[str], by_joint: Mapping[str, tuple[float, float]], mass: float
-) -> TorqueScale:
-    """The deviation of the scales by which the joints disagree on the mass; of two or more."""
-    masses, std = np.array(list(by_joint.values())).reshape(-1, 2).T / max(mass, SMALLEST)
-    if len(masses) < 2 or not (std > 0).all():
-        return TorqueScale()
-    return TorqueScale("joints", dict.fromkeys(rows, _largest_between(masses, std)))
+    """The derivatives (rows, rows) by the scales of the torques of the factors (rows,) by which the
+    torque of each joint would have a load whose base parameters are `load` (r,), `own` its indices,
+    with all other unknowns common to the joints; NaN where these take over the load's torque."""
+    n, r = len(problem.rows), problem.base.rank
+    columns = np.zeros((n, r, n))
+    columns[np.arange(n), :, np.arange(n)] = load
+    others = np.delete(np.eye(r), own, axis=1)
+    return _scale_slopes(problem, [np.hstack([others, one]) for one in columns])[-n:]
 
 
 def _reach(variance: Array, freedom: int, other: Array) -> Array:
