@@ -12,6 +12,7 @@ from sysid_bench.commands.diagnose import check_contradictions
 from sysid_bench.commands.identify import Identify
 from sysid_bench.commands.identify_result import (
     OF_CELLS,
+    WORSE,
     IdentifyResult,
     base_lines,
     cell_fields,
@@ -46,7 +47,7 @@ from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
 from sysid_bench.types import Array, Estimate
 
-ESTIMATOR: Final = "wls"
+ESTIMATOR: Final = "wls-guarded"
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 """In place of the plant, excitation and simulation of a simulated experiment."""
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
@@ -104,7 +105,7 @@ class RecordedResult(IdentifyResult):
                 f"  chosen on {self.selection['left_out']}: {names} (mean error there "
                 f"{before:.1f} -> {after:.1f} %)"
             )
-        lines += self._error_lines()
+        lines += [*self._error_lines(), *self._baseline_lines()]
         lines += [joint_line(name, terms) for name, terms in self.joints.items()]
         lines += [*base_lines(self.base), *std_lines(self.std_from, self.std_limit)]
         lines += _constraint_lines(self.constraints) if self.constraints else ()
@@ -140,13 +141,15 @@ def identify_recorded(request: Identify) -> RecordedResult:
         check_files(load_robot(manifest), request.task, model_out, json_out)
     beside = None if model_out is None else model_out.with_suffix(".toml")
     check_output_files(request.files, beside, [*training, *tests.values()])
-    prepared = recorded_data(_specification(request, training, tests), manifest, Path())
+    findings = tuple(name for name in request.accept if name != WORSE)
+    spec = _specification(request, training, tests, findings)
+    prepared = recorded_data(spec, manifest, Path())
     source = prepared.source
     if not isinstance(source, RecordedSource):
         raise UnsupportedError(
             f"The task {request.task!r} has a way of its own to recordings; use it in a suite."
         )
-    contradictions = check_contradictions(source.recordings, request.accept)
+    contradictions = check_contradictions(source.recordings, findings)
     reason = source.prior.reason
     hint = f"The prior is absent: {reason}." if reason else ""
     estimate = solved(prepared, method, f"{name} on {manifest.name}", hint)
@@ -158,6 +161,8 @@ def identify_recorded(request: Identify) -> RecordedResult:
     if payload is not None and "constraint" in payload:
         name = list(fields["bodies"])[-1]
         fields["bodies"][name] = {key: payload[key] for key in fields["bodies"][name]}
+    if WORSE in request.accept:
+        fields["failure"] = None
     fields |= _recorded_fields(prepared, estimate) | {
         "model": manifest.name, "file": str(manifest.path), "task": request.task,
         "estimator": name, "figure": file_text(figure),
@@ -184,7 +189,10 @@ def _write_figure(figure: Path, prepared: ExperimentData[RecordedSource], beta: 
 
 
 def _specification(
-    request: Identify, training: list[LogDescription], tests: dict[str, LogDescription]
+    request: Identify,
+    training: list[LogDescription],
+    tests: dict[str, LogDescription],
+    accept: tuple[str, ...],
 ) -> ExperimentSpec:
     """Experiment as a suite with one [[log]] would have it."""
     written = {"filter": request.filter, "derivatives": request.derivatives}
@@ -196,7 +204,7 @@ def _specification(
         pipeline=request.pipeline_with_default(default_log_pipeline(signals)),
         log={
             "train": training, "test": tests, "moving": request.moving, "choose": request.choose,
-            "position_given": request.position_given, "accept": request.accept,
+            "position_given": request.position_given, "accept": accept,
             "feasible": request.feasible or TERMS_TOO,
         },
     )  # fmt: skip

@@ -74,6 +74,7 @@ class SimulatedResult(IdentifyResult):
             f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
             f"other motions, torque error {value_text(self.torque_error)}",
         ]
+        lines += self._baseline_lines()
         if self.left_out:
             lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
         if self.sensor is not None:
