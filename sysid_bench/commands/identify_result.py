@@ -19,6 +19,7 @@ from sysid_bench.evaluation.baselines import (
     Baselines,
 )
 from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
+from sysid_bench.evaluation.feasible_body import FeasibleBody
 from sysid_bench.evaluation.open_directions import OpenDirections, open_directions
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.identifiability.base_expressions import (
@@ -31,7 +32,7 @@ from sysid_bench.identification.identify import fit_fields
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial import NAMES, body_mass_inertia, inertia_values
-from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.types import Array, Body, Estimate, Problem
 from sysid_bench.words import INTERVAL_LIMITS
 
 REPORTED: Final = (
@@ -288,14 +289,8 @@ def _values(problem: Problem, theta: Array, verdict: Array, std: Array) -> dict[
     bodies: dict[str, dict[str, Any]] = {}
     for body in problem.bodies:
         ten = [index.pop(column) for column in body.columns]
-        phi, single = theta[ten], verdict[ten] == "identifiable"
-        # Combinations count as zero here; com and inertia are only given where none is needed.
-        _, com, inertia = body_mass_inertia(np.where(single, phi, 0.0))
         bodies[body.name] = {
-            "mass": float(phi[0]) if single[0] else None,
-            "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
-            "inertia": inertia_values(inertia).tolist() if single.all() else None,
-            "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
+            **_body_values(theta[ten], verdict[ten] == "identifiable"),
             "identifiable": dict(zip(NAMES, verdict[ten].tolist(), strict=True)),
             "std": dict(zip(NAMES, std[ten].tolist(), strict=True)),
         }
@@ -310,6 +305,33 @@ def _values(problem: Problem, theta: Array, verdict: Array, std: Array) -> dict[
         entry = {"value": float(theta[j]), "identifiable": str(verdict[j]), "std": float(std[j])}
         joints.setdefault(joint, {})[term] = entry
     return {"bodies": bodies, "joints": joints}
+
+
+def _body_values(phi: Array, single: Array) -> dict[str, Any]:
+    """Values of phi (10,), of which those in the mask `single` (10,) are identifiable."""
+    # Combinations count as zero here; com and inertia are only given where none is needed.
+    _, com, inertia = body_mass_inertia(np.where(single, phi, 0.0))
+    return {
+        "mass": float(phi[0]) if single[0] else None,
+        "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
+        "inertia": inertia_values(inertia).tolist() if single.all() else None,
+        "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
+    }
+
+
+def feasible_entry(
+    entry: Mapping[str, Any], problem: Problem, body: Body, found: FeasibleBody
+) -> dict[str, Any]:
+    """The entry of a body with its feasible values, and what that constraint changes as
+    `constraint`."""
+    values: dict[str, Any] = {}
+    if found.binds:
+        theta = problem.base.embed(found.beta)
+        phi = theta[[problem.parameters.index(column) for column in body.columns]]
+        single = [verdict == "identifiable" for verdict in entry["identifiable"].values()]
+        values = _body_values(phi, np.array(single))
+    change = {"binds": found.binds, "excess": found.excess, "cost": found.cost}
+    return {**entry, **values, "constraint": change | {"without": found.without}}
 
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
@@ -370,6 +392,27 @@ def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
     if others:
         lines.append(f"  nothing is identifiable on its own: {first_names(others, SHOWN)}")
     return lines
+
+
+def constraint_lines(constraint: Mapping[str, Any]) -> Iterator[str]:
+    """What the feasible inertia of a load changes; none where the data have it by themselves."""
+    if not constraint["binds"]:
+        return
+    yield (
+        "    held feasible (mass positive, inertia about the centre within the triangle "
+        f"inequality): torque error {_percent(constraint['cost'])}, squared residuals over their "
+        f"noise {constraint['excess']:+.3g}"
+    )
+    free = constraint["without"]
+    texts = [f"mass {free['mass'][0]:.4g} kg"] if "mass" in free else []
+    if "inertia" in free:
+        texts.append(f"inertia {' '.join(f'{x:.2g}' for x in free['inertia'])} kg m^2")
+    if texts:
+        yield f"      without it: {', '.join(texts)}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:+.2g} %"
 
 
 def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
