@@ -64,7 +64,7 @@ class Signal(_Table):
     `offset`), the offset in SI and in the joint's coordinate. Instead of `columns`, `match`: a
     regular expression of their names, in the order of the number that its group finds. `resample`:
     at stamps of another file the signal is interpolated ("linear"), or holds its last value
-    ("previous": commands).
+    ("previous": commands). `unwrap`: angles jump by a turn of the encoder, which is added again.
     """
 
     columns: Annotated[tuple[_Column, ...], _Several] = ()  # names, or indices from 1
@@ -78,6 +78,7 @@ class Signal(_Table):
     reader: str | dict[str, Any] | None = None  # of that file
     per_row: Annotated[int, Field(gt=0)] | None = None  # of a file with one number a line
     resample: Literal["linear", "previous"] = "linear"  # at stamps of another file
+    unwrap: bool = False  # whether jumps by a turn are taken out
 
     @model_validator(mode="after")
     def _names_columns_once(self) -> "Signal":
