@@ -57,14 +57,30 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True, strict=True)
 
 
+class Time(_Table):
+    """Column of time stamps, or several that are added up, such as seconds and nanoseconds."""
+
+    column: Annotated[tuple[_Column, ...], _Several]  # name or index from 1
+    unit: Annotated[tuple[str, ...], _Several] = ("s",)  # of each column
+    file: str | None = None  # file of the stamps, where it is another
+    reader: str | dict[str, Any] | None = None  # reader of that file
+
+
+def _time(value: Any) -> Any:
+    return value if isinstance(value, (Mapping, Time)) else {"column": value}
+
+
+_TimeKey = Annotated[Time | None, BeforeValidator(_time)]
+
+
 class Signal(_Table):
     """Columns of one signal, in the order of `joints`; one number of a setting serves all joints.
 
     q, v = raw unit gain / ratio + offset; tau = raw unit gain ratio + offset (`gain`, `ratio`,
     `offset`), the offset in SI and in the joint's coordinate. Instead of `columns`, `match`: a
-    regular expression of their names, in the order of the number that its group finds. `resample`:
-    at stamps of another file the signal is interpolated ("linear"), or holds its last value
-    ("previous": commands).
+    regular expression of their names, in the order of the number that its group finds, or of the
+    joint that each names. `resample`: at stamps of another file the signal is interpolated
+    ("linear"), or holds its last value ("previous": commands).
     """
 
     columns: Annotated[tuple[_Column, ...], _Several] = ()  # names, or indices from 1
@@ -76,6 +92,7 @@ class Signal(_Table):
     offset: Annotated[tuple[float, ...], _Several] = (0.0,)  # in SI units, of the joint
     file: str | None = None  # where this signal has a file of its own
     reader: str | dict[str, Any] | None = None  # of that file
+    time: _TimeKey = None  # stamps of its own, where that file has another clock
     per_row: Annotated[int, Field(gt=0)] | None = None  # of a file with one number a line
     resample: Literal["linear", "previous"] = "linear"  # at stamps of another file
 
@@ -191,22 +208,6 @@ def _wrenches(value: Any) -> Any:
     return value if isinstance(value, (list, tuple)) or value is None else (value,)
 
 
-class Time(_Table):
-    """Column of time stamps, or several that are added up, such as seconds and nanoseconds."""
-
-    column: Annotated[tuple[_Column, ...], _Several]  # name or index from 1
-    unit: Annotated[tuple[str, ...], _Several] = ("s",)  # of each column
-    file: str | None = None  # file of the stamps, where it is another
-    reader: str | dict[str, Any] | None = None  # reader of that file
-
-
-def _time(value: Any) -> Any:
-    return value if isinstance(value, (Mapping, Time)) else {"column": value}
-
-
-_TimeKey = Annotated[Time | None, BeforeValidator(_time)]
-
-
 class Source(_Table):
     """One of several files of a recording, with its own clock: `offset` is added to its stamps."""
 
@@ -311,7 +312,7 @@ def _known_keys(path: tuple[Any, ...]) -> set[str]:
         "wrench": Wrench,
         "base": Base if len(path) == 2 else Signal,
     }
-    table, place = tables.get(path[0], Signal), path[:-1]
+    table, place = Time if path[-2] == "time" else tables.get(path[0], Signal), path[:-1]
     if path[:2] == ("tau", "pd"):
         table = PositionControl if len(path) == 3 else Signal
     else:
