@@ -1,7 +1,7 @@
 """Checks of single channels, without a model of the robot: what the reader found, constant, copied,
 held and clipped channels, and spikes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
@@ -147,6 +147,14 @@ def copied_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
     valid = ~check_finite(*raw.signals.values())
     channels = {"position": raw.q, "torque": raw.tau, "velocity": raw.v}
     unit = {kind: _unit(x[valid]) for kind, x in channels.items() if x is not None}
+    found = [*_multiples(evidence, unit)]
+    if "velocity" in unit:
+        found += _copied_positions(evidence, unit["position"], unit["velocity"])
+    yield from found or _copied_derivatives(evidence)
+
+
+def _multiples(evidence: DiagnoseInput, unit: Mapping[str, Array]) -> Iterator[Finding]:
+    """Yield channels that are multiples of others, of columns (N, n) of length 1 by kind."""
     pairs = (("torque", "torque"), ("position", "position"), ("torque", "position"))
     for kind, other in (*pairs, ("torque", "velocity")):
         if other in unit:
@@ -163,9 +171,6 @@ def copied_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
                         edit=f"{'tau' if kind == 'torque' else 'q'} = {{ columns = [...] }}: one "
                         "column a joint",
                     )  # fmt: skip
-    if "velocity" in unit:
-        yield from _copied_positions(evidence, unit["position"], unit["velocity"])
-    yield from _copied_derivatives(evidence)
 
 
 def _copied_positions(evidence: DiagnoseInput, q: Array, v: Array) -> Iterator[Finding]:

@@ -66,8 +66,9 @@ SHARE: Final = 0.02
 MANY: Final = 0.5
 SOME: Final = 0.05
 
-TOUCHES: Final = 6
-"""Times that a torque has to come down to zero without ever crossing it: by chance one in 2^6."""
+TOUCHES: Final = 4
+"""Times that a torque has to come down to zero without ever crossing it: where noise is as large as
+what is left, by chance one in 2^4, and few torques come near zero so often and stay on one side."""
 POOR: Final = 0.1
 BETTER: Final = 0.5
 """Relative residual of a torque of one sign, and the share of it that is left where the signs of a
