@@ -32,7 +32,7 @@ from sysid_bench.types import Array
 @dataclass(frozen=True, eq=False)
 class Signals:
     """One recording in SI, joint side: t (N,), q, v, tau (N, n), and how its time is stated.
-    `hinges` (n,): joints that turn; `gains` (n,): torque per unit of current, where it was recorded.
+    `hinges` (n,): joints that turn; `gains` (n,): torque per unit of a recorded current.
     """
 
     joints: tuple[str, ...]

@@ -137,10 +137,29 @@ class PositionControl(_Table):
         return {name: part for name, part in parts.items() if isinstance(part, Signal)}
 
 
+def _fraction(value: Any) -> Any:
+    """Return the number of "10 %"; anything but a text as it is."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return quantity(value, "1")
+    except UsageError as error:
+        raise ValueError(str(error).rstrip(".")) from error
+
+
+def _shares(value: Any) -> Any:
+    values = tuple(map(_fraction, _one_or_more(value)))
+    if not all(isinstance(x, float) and 0 < x < 1 for x in values):
+        raise ValueError(f"must be shares between 0 and 1, as 0.02 or '2 %'; got {value!r}")
+    return values
+
+
 class Torque(Signal):
     """Measured torque, or `pd` in place of its columns: that of a position controller."""
 
     is_recorded: ClassVar[bool] = True
+    gain_std: Annotated[tuple[float, ...], BeforeValidator(_shares)] = ()
+    """Standard uncertainty of the gains: one factor for all joints, or one each; "2 %"."""
     pd: PositionControl | None = None
 
     @model_validator(mode="after")
@@ -227,16 +246,6 @@ class ControllerKeys(_Table):
     kd: Annotated[tuple[float, ...], _Several]  # rate gains
     rate: str | float | None = None
     held: bool = False
-
-
-def _fraction(value: Any) -> Any:
-    """Return the number of "10 %"; anything but a text as it is."""
-    if not isinstance(value, str):
-        return value
-    try:
-        return quantity(value, "1")
-    except UsageError as error:
-        raise ValueError(str(error).rstrip(".")) from error
 
 
 def _files(value: Any) -> Any:
