@@ -85,6 +85,7 @@ class IdentifyResult(Result):
     rows: list[str]
     estimator: str
     scores: Mapping[str, Any] = field(metadata=HIDDEN)
+    from_file: bool = field(default=True, metadata=HIDDEN)  # the null model, else a prior
     std_from: str | None
     std_limit: str | None
     joints: dict[str, dict[str, Any]]
@@ -130,7 +131,8 @@ class IdentifyResult(Result):
         if error is None:
             return []
         name = FILE_FRICTION if self.joints and self.bodies else FILE
-        errors = {WORDS[name]: "null", WORDS[MEAN]: "mean"}
+        null = WORDS[name] if self.from_file else WORDS[name].replace("model file", "prior")
+        errors = {null: "null", WORDS[MEAN]: "mean"}
         known = {words: self.scores.get(f"torque_error_{key}") for words, key in errors.items()}
         known |= {WORDS[ZERO]: ZERO_TORQUE}
         known |= {"the training torque, played again": self.scores.get("torque_error_floor")}
@@ -174,12 +176,13 @@ def cell_fields(
     weight = estimate.stats.get("weight") if isinstance(method, GuardedWLS) else None
     if directions.count or weight:
         warnings.append(_open_text(directions, weight, problem.prior is not None))
-    failure = _failure(whole, prepared.baselines)
+    failure = _failure(whole, prepared.baselines, problem.file is not None)
     warnings += [failure] if failure else []
     return {
         "rows": list(problem.rows),
         "scores": {name: whole.get(name) for name in scores},
         **_estimate_fields(estimate, problem, method),
+        "from_file": problem.file is not None,
         "open_directions": directions.count,
         "prior_weight": weight,
         "failure": failure,
@@ -208,8 +211,9 @@ def _open_text(directions: OpenDirections, weight: float | None, has_prior: bool
     )
 
 
-def _failure(row: Mapping[str, Any], against: Baselines) -> str | None:
-    """Reason for which an answer is worse than none, with what to do; None where it is not."""
+def _failure(row: Mapping[str, Any], against: Baselines, has_file: bool) -> str | None:
+    """Reason for which an answer is worse than none, with what to do; None where it is not. A
+    simulated robot has no file (`has_file`) but a prior."""
     error, beaten = row.get("torque_error"), row.get("beaten_by")
     if error is None or not beaten:
         return None
@@ -217,7 +221,13 @@ def _failure(row: Mapping[str, Any], against: Baselines) -> str | None:
     errors = {against.null_name: against.null, MEAN: against.mean, ZERO: ZERO_TORQUE}
     texts = " and ".join(f"{WORDS[name]} ({errors[name]:.4g})" for name in names)
     advice = "do not use it for other motions"
-    if names[0] == FILE_FRICTION:
+    if names[0] in (FILE, FILE_FRICTION) and not has_file:
+        texts = texts.replace("the model file", "the prior")
+        advice = (
+            "the noise makes the parameters worse than those of the prior. Use a method with a "
+            "prior (--estimator a-priori), or a richer motion (sysid-bench excite)"
+        )
+    elif names[0] == FILE_FRICTION:
         advice = (
             "this motion makes the bodies worse than those of the file. Use those (--estimator "
             "file-friction) or a richer motion (sysid-bench excite), and check the recordings "
