@@ -44,9 +44,6 @@ REPORTED: Final = (
 OF_CELLS: Final = (*REPORTED, "torque_error_moving", "torque_error_weighted", "standstill")
 """The same of those that run the pipeline of suites."""
 
-WORSE: Final = "worse"
-"""Word of --accept for an answer that a baseline beats."""
-
 WEAKEST: Final = 3
 """Base parameters at the end of the summary, those with the largest relative deviations."""
 
@@ -218,8 +215,7 @@ def _failure(row: Mapping[str, Any], against: Baselines, has_file: bool) -> str 
     if error is None or not beaten:
         return None
     names = beaten.split(", ")
-    errors = {against.null_name: against.null, MEAN: against.mean, ZERO: ZERO_TORQUE}
-    texts = " and ".join(f"{WORDS[name]} ({errors[name]:.4g})" for name in names)
+    texts = " and ".join(f"{WORDS[name]} ({against.errors[name]:.4g})" for name in names)
     advice = "do not use it for other motions"
     if names[0] in (FILE, FILE_FRICTION) and not has_file:
         texts = texts.replace("the model file", "the prior")

@@ -80,7 +80,8 @@ class Signal(_Table):
     `offset`), the offset in SI and in the joint's coordinate. Instead of `columns`, `match`: a
     regular expression of their names, in the order of the number that its group finds, or of the
     joint that each names. `resample`: at stamps of another file the signal is interpolated
-    ("linear"), or holds its last value ("previous": commands).
+    ("linear"), or holds its last value ("previous": commands). `unwrap`: angles jump by a turn of
+    the encoder, which is added again.
     """
 
     columns: Annotated[tuple[_Column, ...], _Several] = ()  # names, or indices from 1
@@ -95,6 +96,7 @@ class Signal(_Table):
     time: _TimeKey = None  # stamps of its own, where that file has another clock
     per_row: Annotated[int, Field(gt=0)] | None = None  # of a file with one number a line
     resample: Literal["linear", "previous"] = "linear"  # at stamps of another file
+    unwrap: bool = False  # whether jumps by a turn are taken out
 
     @model_validator(mode="after")
     def _names_columns_once(self) -> "Signal":
