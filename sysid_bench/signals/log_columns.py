@@ -14,10 +14,11 @@ from sysid_bench.errors import first_names
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import column_names
 from sysid_bench.signals.column_names import CURRENTS, is_signal, role_of, words_of
-from sysid_bench.signals.column_roles import DOUBT, explain_columns, scale_contradiction
+from sysid_bench.signals.column_roles import DOUBT, explain_columns
 from sysid_bench.signals.log_checks import check_finite, is_rate
 from sysid_bench.signals.log_keys import SIGNALS
 from sysid_bench.signals.log_table import LogTable, table_of_rows
+from sysid_bench.signals.torque_scale import scale_contradiction
 from sysid_bench.types import Array
 
 _SLOWEST: Final = 0.5

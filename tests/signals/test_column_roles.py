@@ -11,11 +11,12 @@ from sysid_bench import init_log
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.column_roles import explain_columns, scale_contradiction
+from sysid_bench.signals.column_roles import explain_columns
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_guess import scalar_joints
 from sysid_bench.signals.log_samples import read_samples
 from sysid_bench.signals.log_source import read_time
+from sysid_bench.signals.torque_scale import scale_contradiction
 from sysid_bench.types import Array
 from tests.robots import named_robot
 
