@@ -1,6 +1,7 @@
 """Packages of extras: imported when something needs them, and named where they are missing."""
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError
@@ -11,6 +12,7 @@ EXTRAS: Final = {
     "pyarrow": "parquet",
     "rosbags": "logs",
     "h5py": "logs",
+    "protobuf": "logs",
     "distributed": "cluster",
     "dask_jobqueue": "cluster",
     "cryptography": "cluster",
@@ -34,4 +36,10 @@ def extra_module(module: str, what: str, otherwise: str = "") -> Any:
         return import_module(module)
     except ImportError as error:
         package = module if module in EXTRAS else module.partition(".")[0]
+        package = {"google": "protobuf"}.get(package, package)
+        if package != module and find_spec(package) is not None:
+            raise UsageError(
+                f"{what} needs {module}, which the installed {package} lacks: "
+                f"pip install --upgrade 'sysid-bench[{EXTRAS[package]}]'."
+            ) from error
         raise missing(package, what, otherwise) from error

@@ -164,12 +164,15 @@ def _sibling_file(path: Path, text: str) -> Iterator[Path]:
     """A temporary hidden file with this text in the folder of the source, so that included files
     and meshes are found. Raises ModelError where that folder is not writable."""
     try:
-        with tempfile.NamedTemporaryFile(
-            dir=path.resolve().parent, prefix=f".{path.stem}-", suffix=path.suffix
-        ) as file:
-            file.write(text.encode())
-            file.flush()
+        file = tempfile.NamedTemporaryFile(  # noqa: SIM115 - Windows opens no file twice
+            dir=path.resolve().parent, prefix=f".{path.stem}-", suffix=path.suffix, delete=False
+        )
+        try:
+            with file:
+                file.write(text.encode())
             yield Path(file.name)
+        finally:
+            Path(file.name).unlink(missing_ok=True)
     except PermissionError as error:
         raise ModelError(
             f"The folder of {path.name} is not writable, so the new text cannot be checked "
