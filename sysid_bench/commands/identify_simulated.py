@@ -79,7 +79,7 @@ class SimulatedResult(IdentifyResult):
             f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
             f"other motions, torque error {value_text(self.torque_error)}",
         ]
-        lines += self._baseline_lines()
+        lines += self._baseline_lines(own="")
         if self.left_out:
             lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
         if self.sensor is not None:
@@ -199,6 +199,8 @@ def _result(
         payload = feasible_entry(entry, problem, body, feasible)
         fields["bodies"][body.name] = {key: payload[key] for key in entry}
     exact = _rounding(estimate.beta, problem.base.K @ source.truth.theta)
+    if not spec.noise and exact is None:
+        own = [*_inexact_text(fields["scores"], method), *own]
     return SimulatedResult(
         **fields,
         model=robot.name,
@@ -243,6 +245,20 @@ def _robot(request: Identify, spec: ExperimentSpec) -> tuple[LoadedRobot, Experi
         return LoadedRobot(robot), replace(spec, content=manifest.content)
     folder = file_text(request.robots_dir)
     return loaded_robot(spec.robot, spec.payload, folder, None, request.free_base), spec
+
+
+def _inexact_text(scores: Mapping[str, Any], method: Any) -> list[str]:
+    """Reason for which an answer to exact data has a larger error than rounding; none where its
+    torques do not show it."""
+    error = scores["torque_error"]
+    if error is None or error <= LARGEST:
+        return []
+    cause = f"the method: {bias}" if (bias := getattr(method, "bias", "")) else "rounding"
+    if scores["near_degenerate"] and not bias:
+        cause = "the nearly dependent directions, which the data contain and no base parameter does"
+    elif scores["condition"] and not bias:
+        cause = f"rounding, which the condition number {scores['condition']:.1e} magnifies"
+    return [f"exact data, and a torque error of {error:.1e}, by {cause}"]
 
 
 def _rounding(beta: Array, beta_true: Array) -> float | None:
