@@ -151,7 +151,7 @@ def identify_recorded(request: Identify) -> RecordedResult:
     hint = f"The prior is absent: {reason}." if reason else ""
     estimate = solved(prepared, method, f"{name} on {manifest.name}", hint)
     assert estimate.beta is not None
-    fields = cell_fields(prepared, method, estimate, (*OF_CELLS, "rank_gap", "near_degenerate"))
+    fields = cell_fields(prepared, method, estimate, OF_CELLS)
     # Costs of the constraints that bind, for the estimator `lmi` and for written models.
     is_feasible = model_out is not None or name == "lmi"
     payload = _payload(request, prepared, method, estimate, fields["bodies"])
