@@ -266,8 +266,7 @@ class ForksAndReturns(_Fault):
 
 class StartsProgram(_Fault):
     def act(self, problem: Any) -> None:
-        token = os.environ["SYSID_TEST_FAULT"]
-        command = ["sh", "-c", "sleep 3601; true", token]
+        command = ["sh", "-c", "sleep 3601; true", os.environ["TMPDIR"]]
         subprocess.Popen(command, start_new_session=True, env={})
 
 
@@ -275,13 +274,12 @@ class DaemonizesTwice(_Fault):
     """Starts a program from a grandchild in a session of its own; all in between ends."""
 
     def act(self, problem: Any) -> None:
-        token = os.environ["SYSID_TEST_FAULT"]
         child = os.fork()
         if child == 0:
             os.setsid()
             if os.fork() == 0:
                 os.setsid()
-                command = ["sh", "-c", "sleep 3601; true", token]
+                command = ["sh", "-c", "sleep 3601; true", os.environ["TMPDIR"]]
                 subprocess.Popen(command, start_new_session=True, env={})
             os._exit(0)
         os.waitpid(child, 0)
@@ -294,8 +292,9 @@ class KillsGroup(_Fault):
 
 class KillsParent(_Fault):
     def act(self, problem: Any) -> None:
-        os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(3600)
+        with contextlib.suppress(PermissionError):
+            os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(1)
 
 
 class ForgesMessages(_Fault):
