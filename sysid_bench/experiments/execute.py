@@ -1,12 +1,13 @@
 """Execution of one experiment: a row for each of its estimators, whatever happens."""
 
+import json
 import math
 import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import LONGEST_TEXT, SysidBenchError, UsageError, reason_of, status_of
@@ -188,7 +189,7 @@ class _PreparedCell:
             reason = f"the estimate gives no finite {' and '.join(bad)}; {row['reason']}"
             row |= {"status": "failed", "reason": reason.rstrip("; ")}
         write_paper_data(self.argument, self.entry["cell"], estimate, prepared)
-        row |= scores | prepared.fields | {"stats": stats}
+        row |= scores | prepared.fields | {"stats": _limited(stats)}
         score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})
         cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
         # Metrics of plug-ins ({name, spec} each); empty without an estimate.
@@ -203,6 +204,20 @@ class _PreparedCell:
                 f"The metric name {taken[0]!r} is a field of rows already; choose another."
             )
         return row | metrics
+
+
+MOST_STATS: Final = 256
+"""Numbers of a method that become columns of the results."""
+
+
+def _limited(stats: Mapping[str, Any]) -> Row:
+    """At most MOST_STATS entries of a method's `stats`; the rest as one JSON text, `more`: each key
+    is a column, and 300,000 of them took minutes to write."""
+    names = list(stats)
+    if len(names) <= MOST_STATS:
+        return dict(stats)
+    kept = {name: stats[name] for name in names[: MOST_STATS - 1]}
+    return kept | {"more": json.dumps(plain({x: stats[x] for x in names[MOST_STATS - 1 :]}))}
 
 
 def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, LoadedRobot]:

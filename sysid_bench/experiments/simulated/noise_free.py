@@ -110,13 +110,8 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     of_file = definition.unknowns(robot, terms, spec.sensor, offset)
     task = of_file
     if spec.plant.get(SEALED):
-        robot = robot_of_plant(spec, robot)
+        robot = robot_of_plant(spec, robot, of_file.parameters)
         task = definition.unknowns(robot, terms, spec.sensor, offset)
-        # What a task takes as known is what everybody knows.
-        task = replace(
-            task, known_links=of_file.known_links, known_terms=of_file.known_terms,
-            known_coupling=of_file.known_coupling,
-        )  # fmt: skip
     written = {} if isinstance(spec.prior, str) else dict(spec.prior)
     share = written.pop("known", 0.0)
     if share != 0.0:  # the known parts have errors, too

@@ -4,6 +4,7 @@ The model file is what everybody knows: it is the prior of the methods, and the 
 around it by the secret seed, with the deviations that the suite states for its prior.
 """
 
+from collections.abc import Collection
 from dataclasses import fields, replace
 
 import numpy as np
@@ -16,9 +17,12 @@ from sysid_bench.models.robot import SUFFIX, JointTerms, RobotModel
 from sysid_bench.types import Prior
 
 
-def robot_of_plant(spec: ExperimentSpec, robot: RobotModel) -> RobotModel:
-    """Return the robot whose parameters are the truth: of a sealed plant a drawn one, with the same
-    bodies for all payloads; else the robot itself."""
+def robot_of_plant(
+    spec: ExperimentSpec, robot: RobotModel, parameters: Collection[str]
+) -> RobotModel:
+    """Return the robot whose parameters are the truth: of a sealed plant one whose unknown
+    `parameters` are drawn, the same for all payloads, and the others, which a task takes as known,
+    those of the file; else the robot itself."""
     if not spec.plant.get(SEALED):
         return robot
     spread = stated_spread(spec)
@@ -26,17 +30,18 @@ def robot_of_plant(spec: ExperimentSpec, robot: RobotModel) -> RobotModel:
     def rng(*channel: str) -> np.random.Generator:
         return np.random.default_rng(plant_seed(spec, "robot", *channel))
 
-    phi = [
-        drawn_body(own, spread, rng("body", name))
-        for own, name in zip(robot.phi, robot.body_names, strict=True)
-    ]
+    unknown, phi = set(parameters), robot.phi.copy()
+    for b, body in enumerate(robot.bodies):
+        if unknown.issuperset(body.columns):
+            phi[b] = drawn_body(phi[b], spread, rng("body", body.name))
     terms = {field.name: getattr(robot.joint_terms, field.name) for field in fields(JointTerms)}
     for term, suffix in SUFFIX.items():
         dofs = robot.scalar_dofs
-        values = terms[term].copy()
-        values[dofs] = drawn_terms(values[dofs], suffix, spread, rng("terms", term))[0]
-        terms[term] = values
-    return replace(robot, phi=np.array(phi).reshape(-1, 10), joint_terms=JointTerms(**terms))
+        drawn = terms[term].copy()
+        drawn[dofs] = drawn_terms(drawn[dofs], suffix, spread, rng("terms", term))[0]
+        own = [f"{row}.{suffix}" in unknown for row in robot.rows]
+        terms[term] = np.where(own, drawn, terms[term])
+    return replace(robot, phi=phi, joint_terms=JointTerms(**terms))
 
 
 def stated_spread(spec: ExperimentSpec) -> PriorSpread:

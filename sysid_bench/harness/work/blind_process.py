@@ -223,5 +223,8 @@ def _estimate(found: Any) -> Estimate:
         if given.get(name) is not None:
             # None stands for a number that is not finite.
             given[name] = np.array(given[name], dtype=float)
+    stats = given.get("stats")
+    if isinstance(stats, dict):
+        given["stats"] = {key: np.nan if x is None else x for key, x in stats.items()}
     known = {field.name for field in fields(Estimate)}
     return Estimate(**{key: value for key, value in given.items() if key in known})

@@ -13,7 +13,6 @@ import sys
 import traceback
 from typing import IO, Any
 
-
 _process = 0
 
 
