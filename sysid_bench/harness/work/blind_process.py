@@ -182,6 +182,7 @@ def blind_method(
     hidden = [os.path.abspath(run_folder), os.environ.get(SEEDS, "")]
     with tempfile.TemporaryDirectory(prefix="sysid_method_", ignore_cleanup_errors=True) as folder:
         environment = {key: os.environ[key] for key in _INHERITED if key in os.environ}
+        hide_memory(True)  # until it is known that nobody can look
         process = subprocess.Popen(
             [sys.executable, "-m", "sysid_bench.harness.work.blind_worker"],
             stdin=subprocess.PIPE,
