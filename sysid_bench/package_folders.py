@@ -3,6 +3,7 @@ installed wheel, or the user; and the compiled libraries of this package."""
 
 import ctypes
 import hashlib
+import os
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,14 @@ def package_folder(kind: str) -> Path:
             if is_folder(folder):
                 return folder
     raise UsageError(f"This installation of sysid_bench has no {kind!r} folder; install it again.")
+
+
+@cache
+def cache_folder() -> Path:
+    """Return the folder of what is computed once: `SYSID_BENCH_CACHE`, else the user's cache."""
+    named = os.environ.get("SYSID_BENCH_CACHE")
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(named) if named else Path(home) / "sysid_bench"
 
 
 def robot_folders(extra: Path | None = None) -> list[Path]:

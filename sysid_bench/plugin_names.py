@@ -37,6 +37,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "ekf": "sysid_bench.identification.estimators.filters:EKF",
             "entropic": "sysid_bench.identification.estimators.feasible:Entropic",
             "essential": "sysid_bench.identification.estimators.linear:Essential",
+            "file-friction": "sysid_bench.identification.estimators.bayesian:FileFriction",
             "huber": "sysid_bench.identification.estimators.robust:Huber",
             "irls": "sysid_bench.identification.estimators.robust:IRLS",
             "iv": "sysid_bench.identification.estimators.didim_iv:IV",
@@ -60,6 +61,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "tukey": "sysid_bench.identification.estimators.robust:Tukey",
             "ukf": "sysid_bench.identification.estimators.filters:UKF",
             "wls": "sysid_bench.identification.estimators.linear:WLS",
+            "wls-guarded": "sysid_bench.identification.estimators.bayesian:GuardedWLS",
         },
         "excitation": {
             "b-spline": "sysid_bench.excitation.random_motions:BSplines",

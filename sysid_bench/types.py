@@ -217,6 +217,8 @@ class Problem:
     prior: Prior | None = None
     kinds: tuple[str, ...] = ()  # of rows, "joint N m", "base N": only equal kinds are compared
     torque: Float[Array, " rows"] | None = None  # RMS of each row's total torque; None: that of b
+    mean: Float[Array, " rows"] | None = None  # of each row's total torque; None: not known
+    file: Float[Array, " p"] | None = None  # values of the model file; None: the prior's mean
     period: int = 0  # samples per period; 0: not periodic
     repetition: float = 0.0  # samples after which q repeats without a period of the data; 0: never
     signed: tuple[str, ...] | None = None  # not negative in feasible fits; None: friction, rotors

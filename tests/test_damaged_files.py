@@ -23,6 +23,7 @@ from sysid_bench.harness.work.row_files import read_rows
 from sysid_bench.input_files import LARGEST, check_file, file_hash
 from sysid_bench.models import dh_table
 from sysid_bench.models.load import load_robot
+from sysid_bench.models.sources import ABSENT
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.log_reader import read_table
 
@@ -73,7 +74,7 @@ def test_only_files_are_hashed(make: Callable[[Path], object], tmp_path: Path) -
     make(path)
     with pytest.raises(OSError, match=r"robot\.xml"):
         file_hash(path)
-    assert fingerprint._model(str(path)) == [fingerprint._ABSENT]
+    assert fingerprint._model(str(path)) == [ABSENT]
     assert loaded_sources._present(str(path)) == "absent"
 
 

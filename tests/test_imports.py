@@ -37,6 +37,7 @@ EXCEPTIONS = {
     ("harness/suite/names.py", "sysid_bench.models.load"): "only robots with sensors are loaded",
     ("harness/suite/names.py", "sysid_bench.models.sensor"): "loads MuJoCo",
     ("harness/suite/names.py", "sysid_bench.experiments.tasks.task"): "loads MuJoCo",
+    ("models/model_record.py", "sysid_bench.models.behaviour"): "loads MuJoCo",
     (
         "models/robot.py",
         "sysid_bench.models.pairing",

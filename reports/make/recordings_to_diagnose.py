@@ -1,34 +1,38 @@
-"""Recordings on which mistakes are planted: real arms of SYSID_BENCH_DATA, and simulated ones."""
+"""Recordings on which mistakes are planted: the data sets with measured torque, and simulated
+robots."""
 
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, terms
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.recorded.process_log import lock_manifest
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.model_checks import length
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.log_description import LogDescription, log_description
+from sysid_bench.package_folders import dataset_files
+from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_data import log_of
+from sysid_bench.signals.log_description import NO_JOINT, LogDescription, read_description
 from sysid_bench.signals.log_samples import read_samples
 from sysid_bench.signals.log_source import read_time
+from sysid_bench.spatial import phi_of
 from sysid_bench.types import Array
-
-UR: Final = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint",
-             "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")  # fmt: skip
-PANDA: Final = tuple(f"panda_joint{i}" for i in range(1, 8))
 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """One recording in SI, joint side: t (N,), q, v, tau (N, n), and how its time is stated."""
+    """One recording in SI, joint side: t (N,), q, v, tau (N, n), and how its time is stated.
+    `gains` (n,): torque per unit of current, where the torque was recorded as one."""
 
     joints: tuple[str, ...]
     t: Array
@@ -37,134 +41,149 @@ class Signals:
     tau: Array
     stamps: bool = True  # else the rate is declared
     rate: float = 0.0
+    gains: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A robot with a training and a test recording; `model` names its file."""
+    """A recording to plant mistakes on, and others of the same robot to judge what they cost."""
 
     name: str
     robot: RobotModel
     training: Signals
-    test: Signals
+    tests: tuple[Signals, ...]
 
 
-def _columns(first: int, count: int) -> list[int]:
-    return list(range(first, first + count))
+def evidence(signals: Signals, robot: RobotModel) -> DiagnoseInput:
+    """The recording as it is read."""
+    arrays: dict[str, Any] = {"q": signals.q, "tau": signals.tau}
+    given: dict[str, Any] = {"joints": list(signals.joints)}
+    if signals.v is not None:
+        arrays["v"] = signals.v
+    if signals.stamps:
+        arrays["t"] = signals.t
+    else:
+        given["rate"] = f"{signals.rate:.9g} Hz"
+    return DiagnoseInput(read_log(log_of(arrays, given, "run"), robot), robot)
 
 
-def _signal(columns: Sequence[int | str], unit: str, **more: Any) -> dict[str, Any]:
-    return {"columns": list(columns), "unit": unit, **more}
+def recorded_motions() -> Iterator[tuple[str, str]]:
+    """Names of every data set here and of its motions."""
+    for name in dataset_files():
+        for motion in find_dataset(name).described.motions:
+            yield name, motion
 
 
-def _named(joints: Sequence[str], word: str, unit: str, **more: Any) -> dict[str, Any]:
-    return _signal([f"{joint}_{word}" for joint in joints], unit, **more)
-
-
-def _ur10e(file: str, rows: list[int]) -> dict[str, Any]:
-    gains = [11.976, 11.976, 9.839, 10.763, 10.761, 10.76]
-    return {
-        "file": f"$SYSID_BENCH_DATA/ur10e/{file}", "time": 1, "rows": rows, "joints": list(UR),
-        "q": _signal(_columns(2, 6), "rad"), "v": _signal(_columns(8, 6), "rad/s"),
-        "tau": _signal(_columns(14, 6), "A", gain=gains),
-    }  # fmt: skip
-
-
-def _ur10(rows: list[int]) -> dict[str, Any]:
-    return {
-        "file": "$SYSID_BENCH_DATA/ur10/ur10_exciting_trajectory.csv", "time": "t", "rows": rows,
-        "joints": list(UR), "q": _named(UR, "position", "rad"),
-        "v": _named(UR, "velocity", "rad/s"), "tau": _named(UR, "effort", "N m"),
-    }  # fmt: skip
-
-
-def _panda(rows: list[int]) -> dict[str, Any]:
-    folder, each = "$SYSID_BENCH_DATA/panda_gaz/exciting_traj", _columns(1, 7)
-    return {
-        "time": {"column": 1, "file": f"{folder}_time.txt"}, "rows": rows, "joints": list(PANDA),
-        "q": _signal(each, "rad", per_row=7, file=f"{folder}_positions.txt"),
-        "v": _signal(each, "rad/s", per_row=7, file=f"{folder}_velocity.txt"),
-        "tau": _signal(each, "N m", per_row=7, file=f"{folder}_torques.txt"),
-    }  # fmt: skip
-
-
-def _fer(rows: list[int]) -> dict[str, Any]:
-    names = [f"fer_joint{i}" for i in range(1, 8)]
-    return {
-        "file": "$SYSID_BENCH_DATA/fer/panda_exciting_trajectory.csv", "time": "t", "rows": rows,
-        "joints": list(PANDA), "q": _named(names, "position", "rad"),
-        "v": _named(names, "velocity", "rad/s"), "tau": _named(names, "effort", "N m"),
-    }  # fmt: skip
-
-
-def _tx40(rows: list[int]) -> dict[str, Any]:
-    G = np.diag([32.0, 32.0, 45.0, -48.0, 45.0, 32.0])
-    G[5, 4] = 32.0
-    offset = [0, -0.5 * np.pi, 0.5 * np.pi, 0, 0, 0]
-    folder = "$SYSID_BENCH_DATA/tx40"
-    return {
-        "rate": "5 kHz", "rows": rows, "joints": [f"joint_{i}" for i in range(1, 7)],
-        "transmission": np.linalg.inv(G).tolist(),
-        "q": _signal(_columns(1, 6), "rad", offset=offset, file=f"{folder}/pos_read_data.csv"),
-        "tau": _signal(_columns(1, 6), "N m", file=f"{folder}/curr_data.csv"),
-    }  # fmt: skip
-
-
-def _psm(rows: list[int]) -> dict[str, Any]:
-    G = np.eye(7)
-    G[4:, 4:] = [[1.0186, 0, 0], [-0.8306, 0.6089, 0.6089], [0, -1.2177, 1.2177]]
-    return {
-        "file": "$SYSID_BENCH_DATA/dvrk/psm_train.csv", "rate": "200 Hz", "rows": rows,
-        "joints": ["j1", "j2", "j3", "j4", "j5", "j6", "-"], "transmission": G.tolist(),
-        "q": {"columns": _columns(1, 7)}, "v": {"columns": _columns(8, 7)},
-        "tau": {"columns": _columns(15, 7)},
-    }  # fmt: skip
-
-
-TRAINING: Final = "ur-20_02_10-30sec_12harm.csv"
-TEST: Final = "ur-20_02_12-40sec_12harm.csv"
-RECORDED: Final[Mapping[str, tuple[str, Any, Any]]] = {
-    "ur10e": ("$/ur10e/ur10e.urdf", _ur10e(TRAINING, [635, 3510]), _ur10e(TEST, [500, 4460])),
-    "panda": ("panda", _panda([1, 14000]), _panda([14001, 20544])),
-    "tx40": ("$/tx40/tx40_mdh_modified.urdf", _tx40([6001, 36000]), _tx40([1, 6000])),
-    "ur10": ("ur10", _ur10([1, 2200]), _ur10([2201, 3441])),
-    "fer": ("panda", _fer([1, 460]), _fer([461, 727])),
-    "psm": ("dvrk_psm", _psm([1, 3500]), _psm([3501, 5999])),
-}
-"""Model, description of the training part, description of the test part."""
-
-SIMULATED: Final = {
-    "ur5": "L1", "kinova": "L2", "xarm7": "L1",
-    "ur3": "L2", "z1": "L1", "rv2sq": "L2",
-}  # fmt: skip
-"""Robots and the plants that they are simulated on, in closed loop."""
-
-TUNED: Final = ("ur10e", "panda", "tx40", "ur5", "kinova", "xarm7")
-"""Robots on which thresholds were set; figures are those of the others."""
-
-
-def subject(name: str) -> Subject:
-    """The recordings of a robot: recorded ones by their name, simulated ones by "sim:" + name."""
-    if name.startswith("sim:"):
-        return _simulated(name.removeprefix("sim:"))
-    model, training, test = RECORDED[name]
-    manifest = find_manifest(model.replace("$", os.environ["SYSID_BENCH_DATA"], 1), None)
-    descriptions = [log_description(one, Path()) for one in (training, test)]
-    robot = load_robot(lock_manifest(manifest, load_robot(manifest), descriptions))
-    signals = [_signals(one, robot) for one in descriptions]
-    return Subject(name, robot, *signals)
+def recorded_subjects(word: str = "") -> Iterator[Subject]:
+    """The first training and the first test motion of each data set with measured torque, of those
+    whose name holds a word."""
+    for name in (one for one in dataset_files() if word in one):
+        found = find_dataset(name).described
+        motions = {m: read_description(Path(f"dataset:{name}/{m}")) for m in found.motions}
+        chosen = [found.train[0], *found.test[:1]]
+        if motions[chosen[0]].tau.pd is not None or not motions[chosen[0]].has_torque:
+            continue
+        manifest = find_manifest(f"dataset:{name}", None)
+        robot = load_robot(lock_manifest(manifest, load_robot(manifest), list(motions.values())))
+        for one in chosen:
+            tests = found.test if one in found.train else found.train
+            others = tuple(_signals(motions[other], robot) for other in tests)
+            yield Subject(f"{name}/{one}", robot, _signals(motions[one], robot), others)
 
 
 def _signals(log: LogDescription, robot: RobotModel) -> Signals:
     raw = read_samples(log, robot)
     stamps = read_time(log, len(raw))
-    keep = [k for k, joint in enumerate(log.joints) if joint != "-"]
+    keep = [k for k, joint in enumerate(log.joints) if joint != NO_JOINT]
     samples = raw.columns(keep)
     t = np.arange(len(raw)) / (log.rate or 1.0) if stamps is None else stamps
-    joints = tuple(log.joints[k] for k in keep)
-    rate = log.rate or 0.0
-    return Signals(joints, t, samples.q, samples.v, samples.tau, stamps is not None, rate)
+    gains = log.joint_values("tau.gain", log.tau.gain)[keep]
+    return Signals(
+        tuple(log.joints[k] for k in keep), t, samples.q, samples.v, samples.tau,
+        stamps is not None, log.rate or 0.0, gains if (gains != 1).any() else None,
+    )  # fmt: skip
 
+
+LIGHTEST: Final = 0.5
+HEAVIEST: Final = 3.0
+"""kg; tools of a tenth of the moving links weigh between these."""
+
+
+def tool_mass(robot: RobotModel) -> float:
+    """Mass (kg) of the tool that a robot is given; 0 where its tool body does not move."""
+    if robot.tree.carrier[robot.tool_body] < 0:
+        return 0.0
+    moving = robot.phi[np.asarray(robot.tree.carrier) >= 0, 0].sum()
+    return float(np.clip(0.1 * moving, LIGHTEST, HEAVIEST))
+
+
+def with_tool(one: Subject) -> Subject:
+    """The recordings with the torque of a tool that the model does not know: a box of 10 cm."""
+    mass = tool_mass(one.robot)
+    reach = min(1.0, length(one.robot))
+    box = mass * 0.1**2 / 6 * np.eye(3)
+    phi = phi_of(mass, reach * np.array([0.05, 0.0, 0.08]), box)
+    return replace(
+        one,
+        name=f"{one.name} + {mass:.2g} kg",
+        training=_loaded(one.training, one.robot, phi),
+        tests=tuple(_loaded(test, one.robot, phi) for test in one.tests),
+    )
+
+
+def _loaded(signals: Signals, robot: RobotModel, phi: Array) -> Signals:
+    e = replace(evidence(signals, robot), loaded=True)
+    torque = e.regressor(e.motion)[..., -10:] @ phi
+    # The ends, where the filter of the motion is not reliable, are cut off by every check as well.
+    t = _times(signals)
+    grid = np.linspace(t[0], t[-1], len(e.log.recording))[e.kept]
+    added = [np.interp(t, grid, column) for column in torque.T]
+    return replace(signals, tau=signals.tau + np.column_stack(added))
+
+
+def _times(signals: Signals) -> Array:
+    """Times (N,) that rise, whatever the stamps."""
+    if signals.stamps:
+        return np.maximum.accumulate(signals.t)
+    return np.arange(len(signals.t)) / signals.rate
+
+
+def plain_error(training: DiagnoseInput, tests: tuple[DiagnoseInput, ...]) -> float:
+    """Error on other motions of a fit to one, over the RMS of their torque: weighted least squares,
+    cut off at 1e-6 of the largest singular value; each joint divided by its own torque, like
+    `torque_error`."""
+    W, b, _ = _rows(training)
+    size = np.linalg.norm(W, axis=0)
+    kept = size > 1e-9 * size.max()
+    beta, *_ = np.linalg.lstsq(W[:, kept] / size[kept], b, rcond=1e-6)
+    wrong, power = [], []
+    for test in tests:
+        A, target, rms = _rows(test)
+        predicted = A[:, kept] / size[kept] @ beta
+        wrong.append((((predicted - target).reshape(-1, len(rms))) * rms) ** 2)
+        power.append((target.reshape(-1, len(rms)) * rms) ** 2)
+    rms2 = np.concatenate(power).mean(axis=0)
+    used = rms2 > 1e-4 * rms2.max()
+    return float(np.sqrt((np.concatenate(wrong).mean(axis=0)[used] / rms2[used]).mean()))
+
+
+def _rows(e: DiagnoseInput) -> tuple[Array, Array, Array]:
+    """Rows W, b of all joints, each over its RMS torque, and these RMS torques (n,)."""
+    motion, tau = e.fit_samples
+    own = terms(motion)
+    N, n, m = own.shape
+    rms = np.maximum(np.sqrt((tau**2).mean(axis=0)), 1e-12)
+    blocks = np.zeros((N, n, n * m))
+    for j in range(n):
+        blocks[:, j, j * m : (j + 1) * m] = own[:, j]
+    W = np.concatenate([e.regressor(motion), blocks], axis=2) / rms[:, None]
+    return W.reshape(N * n, -1), (tau / rms).ravel(), rms
+
+
+SIMULATED: Final = {
+    "ur5": "L1", "kinova": "L2", "xarm7": "L1", "ur3": "L2", "z1": "L1", "rv2sq": "L2",
+}  # fmt: skip
+"""Robots and the plants that they are simulated on, in closed loop."""
 
 SUITE: Final = """
 schema = 1
@@ -185,7 +204,8 @@ use = "ols"
 """
 
 
-def _simulated(name: str) -> Subject:
+def simulated_subject(name: str) -> Subject:
+    """Motions of a robot in closed loop, judged by a model that differs from it."""
     loaded = loaded_robot(name, "none", None, None)
     parts = []
     for period in (8, 9):  # other lengths draw other motions of the same plant
@@ -193,7 +213,7 @@ def _simulated(name: str) -> Subject:
         (spec,) = cells_of_suite(suite).spec_list
         raw = prepare_simulated(spec, loaded).experiment.raw
         parts.append(_of_robot(loaded.robot, raw))
-    return Subject(f"sim:{name}", _told(loaded.robot), *parts)
+    return Subject(f"sim:{name}", _told(loaded.robot), parts[0], (parts[1],))
 
 
 def _of_robot(robot: RobotModel, raw: Any) -> Signals:

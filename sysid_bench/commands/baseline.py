@@ -4,6 +4,7 @@ are compared with it; one row is judged as well, for pytest."""
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -95,8 +96,8 @@ class BaselineUpdate(Request["BaselineResult"]):
 
     def run(self) -> "BaselineResult":
         """Take the changes of a run over into a baseline: what a comparison with it finds, and
-        nothing else, so that values within their tolerance stay. Metrics and tolerances stay, and
-        times where the run has none."""
+        nothing else, so that values within their tolerance stay unless they drift in common.
+        Metrics and tolerances stay, and times where the run has none."""
         from sysid_bench.commands.run_folder import open_run
         from sysid_bench.harness.comparison.baseline import baseline_of, update_of
         from sysid_bench.harness.comparison.run_difference import find_difference
@@ -108,9 +109,14 @@ class BaselineUpdate(Request["BaselineResult"]):
         changes = find_difference(old.run, now, old.tolerances)
         update = update_of(changes)
         # With the old tolerances: those of a baseline are part of an agreement, not of a run.
-        written = _write(baseline_of(update.run, old.tolerances), Path(self.out))
-        kept = bool(old.run.speeds) and not now.speeds
-        return replace(written, taken=update.taken, untimed=[*changes.without_time], kept=kept)
+        written = _write(baseline_of(update.run, old.tolerances, old.digits), Path(self.out))
+        return replace(
+            written,
+            taken=update.taken,
+            counts=dict(update.counts),
+            untimed=[*changes.without_time],
+            kept=bool(old.run.speeds) and not now.speeds,
+        )
 
 
 baseline_save = python_function(BaselineSave, "baseline_save")
@@ -120,14 +126,15 @@ baseline_update = python_function(BaselineUpdate, "baseline_update")
 @dataclass(frozen=True, eq=False, repr=False)
 class BaselineResult(Result):
     """A baseline that was written: its file, cells and metrics, and the `taken` changes from the
-    one that was there. `untimed` robots and parts had times there and have none in the run; `kept`:
-    no part has, and those of before stay."""
+    one that was there, with their `counts` by kind. `untimed` robots and parts had times there and
+    have none in the run; `kept`: no part has, and those of before stay."""
 
     file: str
     cells: int
     metrics: list[str]
     bytes: int
     taken: int | None = None
+    counts: dict[str, int] = field(default_factory=dict)
     untimed: list[str] = field(default_factory=list)
     kept: bool = False
 
@@ -135,7 +142,9 @@ class BaselineResult(Result):
         """One sentence."""
         from sysid_bench.commands.changes import first_labels
 
+        kinds = ", ".join(f"{count} {what}" for what, count in self.counts.items())
         taken = "" if self.taken is None else f"; {self.taken} changes taken over"
+        taken += f" ({kinds})" if kinds else ""
         times = ""
         if self.untimed and self.kept:
             times = f"; times are those of before, since the run has {_NO_TIMES}"
@@ -205,9 +214,9 @@ def values_of_run(run: "RunFolder", metrics: Sequence[str], *, times: bool = Fal
 class Gate(Request["GateResult"]):
     """Compare a run with a baseline; exit code 1 where anything got worse.
 
-    Worse are: another status, a value beyond its tolerance, other base parameters of a robot, cells
-    that are gone, and with --times slower parts. Improvements are reported; `baseline update` takes
-    them over.
+    Worse are: another status, a value beyond its tolerance, cells that get worse in common, another
+    robot (joint and quantity are named), cells that are gone, and with --times slower parts.
+    Improvements are reported; `baseline update` takes them over.
     """
 
     folder: str | Path = argument("RUN", complete="runs folders")
@@ -215,19 +224,40 @@ class Gate(Request["GateResult"]):
     _: KW_ONLY
     partial: bool = False
     times: bool = _times_option()
+    exact: bool = option(
+        "List values that moved by more than 1e-12, too; none of them fails.", default=False
+    )
 
     def run(self) -> "GateResult":
         """Compare a run with a baseline.
 
         `partial`: cells of the baseline that the run has no row of do not count; `times`: ratios of
-        times within the run are compared, too. Raises UsageError for a folder that is not a run,
-        and a file that is not a baseline, or one without times.
+        times within the run are compared, too; `exact`: `moved` lists what is another number.
+        Raises UsageError for a folder that is not a run, and a file that is not a baseline, or one
+        without times, or without the digits for `exact`.
         """
+        from sysid_bench.commands.changes import change_json, moved_text
         from sysid_bench.commands.run_folder import open_run
+        from sysid_bench.harness.comparison.baseline import EXACT_DIGITS
+        from sysid_bench.harness.comparison.run_difference import moved_values
 
         known = known_baseline(self.baseline, times=self.times)
         run, file = open_run(self.folder), str(self.baseline)
-        return gate_run(run, known, file, partial=self.partial, times=self.times)
+        if self.exact and known.digits < EXACT_DIGITS:
+            raise UsageError(
+                f"The baseline {file!r} holds {known.digits} digits of a value, and --exact needs "
+                f"{EXACT_DIGITS}; save it again with 'sysid-bench baseline save RUN -o {file}'."
+            )
+        result = gate_run(run, known, file, partial=self.partial, times=self.times)
+        if not self.exact:
+            return result
+        now = values_of_run(run, tuple(known.run.metrics))
+        changes = moved_values(known.run, now, known.tolerances)
+        return replace(
+            result,
+            moved=[change_json(known.run, change) for change in changes],
+            text=f"{moved_text(known.run, changes, result.origin)}\n\n{result.text}",
+        )
 
     def exit_code(self, result: "GateResult") -> int:
         return OK if result.ok else FAILED
@@ -287,8 +317,8 @@ def gate_run(
         baseline=file,
         ok=not changes.is_failed,
         cells=compared - len(changes.open),
-        failures=[change_json(changes, change) for change in changes.failed_cells],
-        improvements=[change_json(changes, change) for change in better],
+        failures=[change_json(before, change) for change in changes.failed_cells],
+        improvements=[change_json(before, change) for change in better],
         **common_fields(changes),
         speeds=[asdict(change) | {"noise": math.expm1(change.noise)} for change in changes.speeds],
         untimed=[*changes.without_time],
@@ -309,11 +339,15 @@ def _without_common_times(run: "RunFolder", file: str, changes: "RunDifference")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GateResult(Result):
-    """Comparison of a run with a baseline. `failures` and `improvements` are changes beyond the
-    tolerances, `parameters` the changed true base parameters, `vanished` and `open` cells of the
-    baseline that the run has not, or has no row of; `origin` names other versions; `speeds` are the
-    changes of times as ratios within the runs, where these were asked for; `untimed` robots and
-    parts have times in the baseline alone."""
+    """Comparison of a run with a baseline.
+
+    `failures` and `improvements` are changes beyond the tolerances, `parameters` the changed true
+    base parameters, `models` other quantities of robots, `drifts` metrics whose cells move in
+    common within their tolerance, `vanished` and `open` cells of the baseline that the run has not,
+    or has no row of; `origin` names other versions; `speeds` are the changes of times as ratios
+    within the runs, where these were asked for; `untimed` robots and parts have times in the
+    baseline alone; `moved` values are other numbers, where asked for.
+    """
 
     folder: str
     baseline: str
@@ -322,6 +356,8 @@ class GateResult(Result):
     failures: list[dict[str, Any]]
     improvements: list[dict[str, Any]]
     parameters: list[dict[str, Any]]
+    models: list[dict[str, Any]]
+    drifts: list[dict[str, Any]]
     appeared: list[str]
     vanished: list[str]
     open: list[str]
@@ -330,6 +366,7 @@ class GateResult(Result):
     untimed: list[str]
     text: str = field(metadata=HIDDEN)
     checks: "tuple[Check, ...]" = field(metadata=HIDDEN)
+    moved: list[dict[str, Any]] = field(default_factory=list)
 
     def summary(self) -> str:
         """What got worse, as tables, and what else differs."""
@@ -376,6 +413,14 @@ def _checks(changes: "RunDifference") -> "Iterator[Check]":
         robots.setdefault(moved.robot, []).append(f"{moved.parameter} {pair} ({moved.setting})")
     for robot, sentences in robots.items():
         yield Check(f"{robot} base parameters", tuple(sentences))
+    for robot, group in groupby(changes.models, key=lambda change: change.robot):
+        named = (f"{one.joint or 'robot'}: {one.quantity}" for one in group)
+        yield Check(f"{robot} model", tuple(named))
+    for drift in changes.failed_drifts:
+        sentence = (
+            f"{drift.factor:.6g} times in the mean of {len(drift.cells)} cells, p {drift.p:.1g}"
+        )
+        yield Check(f"{drift.metric} of all cells", (sentence,))
     for slow in changes.failed_speed:
         yield Check(f"{slow.robot} {slow.part} time", (f"{slow.factor:.3g} times as slow",))
 
@@ -383,7 +428,9 @@ def _checks(changes: "RunDifference") -> "Iterator[Check]":
 def _gate_text(folder: str, baseline: str, changes: "RunDifference", better: int) -> str:
     from sysid_bench.commands.changes import (
         cells_text,
+        drift_text,
         largest_first,
+        models_text,
         origin_text,
         speed_text,
         tables_text,
@@ -395,12 +442,15 @@ def _gate_text(folder: str, baseline: str, changes: "RunDifference", better: int
     if better:
         update = f"'sysid-bench baseline update {folder} -o {baseline}' takes them over"
         shown.append(f"{better} values are better or new; {update}.")
+    shown += [*models_text(changes), *drift_text(changes)]
     shown += [*speed_text(changes), *origin_text(changes)]
     if worse:
         shown.append(f"reproduce: {rerun_command(folder, worse[0].cell)}")
     counts = {
         "values beyond their tolerance": len(changes.failed_cells),
         "other base parameters": len(changes.parameters),
+        "other quantities of robots": len(changes.models),
+        "metrics that get worse in common": len(changes.failed_drifts),
         "cells vanished": len(changes.vanished),
         "cells without a row": len(changes.open),
         "slower parts": len(changes.failed_speed),

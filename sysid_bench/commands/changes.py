@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.harness.comparison import speed
 from sysid_bench.harness.comparison.run_difference import Change, RunDifference
-from sysid_bench.harness.comparison.run_values import Value
+from sysid_bench.harness.comparison.run_values import RunValues, Value
 from sysid_bench.reporting.text_table import TextTable, to_markdown
 
 WORST_SHOWN: Final = 10
@@ -31,6 +31,8 @@ def common_fields(changes: RunDifference) -> dict[str, Any]:
     """Return the fields that answers on two runs share."""
     return {
         "parameters": [asdict(change) for change in changes.parameters],
+        "models": [asdict(change) for change in changes.models],
+        "drifts": [asdict(drift) for drift in changes.drifts],
         "appeared": list(changes.appeared),
         "vanished": list(changes.vanished),
         "open": list(changes.open),
@@ -38,11 +40,11 @@ def common_fields(changes: RunDifference) -> dict[str, Any]:
     }
 
 
-def change_json(changes: RunDifference, change: Change) -> dict[str, Any]:
-    """Return a change with the labels of its cell."""
+def change_json(before: RunValues, change: Change) -> dict[str, Any]:
+    """Return a change from a run with the labels of its cell."""
     values = asdict(change)
     cell, reason = values.pop("cell"), values.pop("reason")
-    values = {"id": cell, "cell": changes.before.label(cell), **values}
+    values = {"id": cell, "cell": before.label(cell), **values}
     return values | ({"reason": reason} if reason else {})
 
 
@@ -71,12 +73,69 @@ def change_tables(
         head = ("robot", "setting", "base parameter", "before", "after")
         rows = [(one.robot, one.setting, one.parameter, *_pair(one)) for one in changes.parameters]
         tables.append(table("parameters", "True base parameters that changed", head, rows))
+    if changes.models:
+        head = ("robot", "joint", "quantity", "before", "after")
+        # Of a joint that is gone or new its kind stands for all quantities.
+        alone = {(one.robot, one.joint) for one in changes.models if one.quantity == "kind"}
+        rows = [
+            (one.robot, one.joint or "(robot)", one.quantity, _list_text(one.before),
+             _list_text(one.after))
+            for one in changes.models
+            if one.quantity == "kind" or (one.robot, one.joint) not in alone
+        ]  # fmt: skip
+        tables.append(table("models", "Joints that changed, in SI units", head, rows))
     return tables
 
 
 def tables_text(title: str, changes: RunDifference, of: Sequence[Change]) -> list[str]:
     """Return the tables of changes as Markdown."""
     return [to_markdown(table).rstrip() for table in change_tables(title, changes, of)]
+
+
+def models_text(changes: RunDifference) -> list[str]:
+    """Return a sentence on the robots whose joints are not compared."""
+    if not changes.without_model:
+        return []
+    return [
+        f"Joints of {first_labels(changes.without_model)} are not compared, since not both have "
+        "them; 'baseline update' adds those of a run."
+    ]
+
+
+def _list_text(values: Sequence[Any] | None) -> str:
+    """Return numbers with six digits, of long lists the first four."""
+    if values is None:
+        return "-"
+    texts = [value if isinstance(value, str) else f"{value:.6g}" for value in values]
+    return " ".join(texts[:4] + ["..."] * (len(texts) > 4))
+
+
+def drift_text(changes: RunDifference) -> list[str]:
+    """Return a sentence for each metric whose cells move in common."""
+    return [
+        f"{drift.metric} is {drift.verdict} in common: {drift.factor:.5f} times in the mean of "
+        f"{len(drift.cells)} cells within their tolerance (p {drift.p:.1g}, {drift.groups} groups)."
+        for drift in changes.drifts
+    ]
+
+
+def moved_text(
+    before: RunValues, moved: Sequence[Change], origin: Sequence[tuple[str, str, str]]
+) -> str:
+    """Return the table of the values that are other numbers, or that there is none."""
+    # The commit is what is looked at; libraries and machines move last digits by themselves.
+    others = any(name != "commit" for name, _, _ in origin)
+    versions = f"between {'other' if others else 'equal'} versions"
+    if not moved:
+        return f"exact: no value moved by more than 1e-12 {versions}."
+    rows = [
+        (before.label(one.cell), one.metric, *map(repr, (one.before, one.after))) for one in moved
+    ]
+    hidden = len(rows) - WORST_SHOWN
+    notes = (f"{hidden} more are in --json.",) if hidden > 0 else ()
+    title = f"{len(rows)} values moved by more than 1e-12 {versions}"
+    head = ("cell", "metric", "before", "after")
+    return to_markdown(TextTable("moved", title, head, tuple(rows[:WORST_SHOWN]), notes)).rstrip()
 
 
 def speed_text(changes: RunDifference) -> list[str]:

@@ -105,8 +105,9 @@ compare = python_function(Compare, "compare")
 @dataclass(frozen=True, eq=False, repr=False)
 class CompareResult(Result):
     """Comparison of `after` with `before`: `metrics` as ratios over robots, `changes` of single
-    cells beyond the tolerances (the largest first), changed true base parameters, cells that only
-    one has, and `origin`: what differs in code, libraries and machine."""
+    cells beyond the tolerances (the largest first), changed true base parameters and `models`
+    (quantities of joints), `drifts` of metrics within their tolerance, cells that only one has, and
+    `origin`: what differs in code, libraries and machine."""
 
     before: str
     after: str
@@ -119,6 +120,8 @@ class CompareResult(Result):
     vanished: list[str]
     open: list[str]
     origin: list[tuple[str, str, str]]
+    models: list[dict[str, Any]]
+    drifts: list[dict[str, Any]]
     listings: "tuple[TextTable, ...]" = field(metadata=HIDDEN)
     notes: tuple[str, ...] = field(metadata=HIDDEN)
     command: str = field(metadata=HIDDEN)
@@ -194,7 +197,7 @@ def _result(
         cells=compared,
         equal=compared - changed - len(changes.open),
         metrics=[asdict(ratio) for ratio in ratios],
-        changes=[change_json(changes, change) for change in largest],
+        changes=[change_json(changes.before, change) for change in largest],
         **common_fields(changes),
         listings=(_ratio_table(ratios), *change_tables(title, changes, largest, None)),
         notes=(first, *_notes(sources[1], changes, largest)),
@@ -231,11 +234,11 @@ def _ratio_table(ratios: "Sequence[MetricRatio]") -> "TextTable":
 def _notes(after: str, changes: "RunDifference", largest: "Sequence[Change]") -> list[str]:
     """Sentences on other cells and versions, and the commands that compute the cells with the
     largest changes again."""
-    from sysid_bench.commands.changes import WORST_SHOWN, cells_text, origin_text
+    from sysid_bench.commands.changes import WORST_SHOWN, cells_text, drift_text, origin_text
     from sysid_bench.commands.run_folder import rerun_command
     from sysid_bench.input_files import is_file
 
-    lines = [*cells_text(changes), *origin_text(changes)]
+    lines = [*drift_text(changes), *cells_text(changes), *origin_text(changes)]
     shown = dict.fromkeys(change.cell for change in largest[:WORST_SHOWN])
     if shown and not is_file(Path(after)):  # a baseline holds no suite that could run
         lines.append("\n".join(["reproduce:", *(rerun_command(after, cell) for cell in shown)]))

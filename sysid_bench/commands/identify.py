@@ -52,7 +52,8 @@ OF_LOGS: Final = {"when": LOGS}
 class Identify(Request["IdentifyResult"]):
     """Identify one robot: excite and simulate it, or read recordings; estimate; export.
 
-    Exit code 3 where the answer errs more than zero torque on its test; it is written all the same.
+    Exit code 3 where the answer errs more on its test than the model file with fitted friction, the
+    mean torque or zero torque; it is written all the same.
     """
 
     model: PathLike = model_argument("MODEL")
@@ -64,7 +65,7 @@ class Identify(Request["IdentifyResult"]):
     )  # fmt: skip
     terms: Sequence[str] | None = terms_option()
     estimator: str | None = option(
-        "Method. Default: ols; wls with logs and for wrench; min-norm for terminal.",
+        "Method. Default: ols; wls-guarded with logs; wls for wrench; min-norm for terminal.",
         default=None, metavar="NAME", complete="estimators",
     )  # fmt: skip
     noise: Mapping[str, Any] | None = option(
@@ -113,9 +114,9 @@ class Identify(Request["IdentifyResult"]):
         default=False, when=LOGS,
     )  # fmt: skip
     accept: Sequence[str] = option(
-        "Contradictions in logs that may pass.",
-        default=(), metavar="rate,units", parse=parse_names, complete="findings", separated=True,
-        when=LOGS,
+        "Contradictions in logs that may pass; worse: an answer worse than the model file.",
+        default=(), metavar="rate,units,worse", parse=parse_names, complete="findings",
+        separated=True, when=LOGS,
     )  # fmt: skip
     figure: PathLike | None = option(
         "Logs: measured and predicted torque and their difference, joint by joint.",
@@ -231,8 +232,8 @@ class Identify(Request["IdentifyResult"]):
         return identify_recorded(asked)
 
     def recordings(self) -> "tuple[list[LogDescription], dict[str, LogDescription]]":
-        """The training recordings, and the tests by the stem of their file; by their whole path
-        where two stems are the same."""
+        """The training recordings, and the tests by the stem of their file; where two stems are the
+        same by their whole path, with a number where two paths are: motions of one data set."""
         from sysid_bench.signals.log_description import find_description
 
         tests = [find_description(log) for log in self.test]
@@ -240,6 +241,10 @@ class Identify(Request["IdentifyResult"]):
         labels = [
             stem if stems.count(stem) == 1 else str(test.source)
             for stem, test in zip(stems, tests, strict=True)
+        ]
+        labels = [
+            label if labels.count(label) == 1 else f"{label} {k}"
+            for k, label in enumerate(labels, start=1)
         ]
         return [find_description(log) for log in self.log], dict(zip(labels, tests, strict=True))
 
@@ -302,7 +307,8 @@ class Identify(Request["IdentifyResult"]):
         failure = result.get("failure")
         if not failure:
             return OK
-        click.echo(f"sysid-bench: {failure}.", err=True)
+        accept = " --accept worse lets it pass." if self.log else ""
+        click.echo(f"sysid-bench: {failure}.{accept}", err=True)
         return BAD_ANSWER
 
 

@@ -9,31 +9,43 @@ import numpy as np
 
 from sysid_bench.commands.result import HIDDEN, OMIT_NONE, Result, estimate_text
 from sysid_bench.errors import SHOWN, EstimationError, count_text, first_names
+from sysid_bench.evaluation.baselines import (
+    FILE,
+    FILE_FRICTION,
+    MEAN,
+    WORDS,
+    ZERO,
+    ZERO_TORQUE,
+    Baselines,
+)
 from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
-from sysid_bench.evaluation.open_directions import open_directions
+from sysid_bench.evaluation.feasible_body import FeasibleBody
+from sysid_bench.evaluation.open_directions import OpenDirections, open_directions
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     expression,
     parameter_verdict,
 )
+from sysid_bench.identification.estimators.bayesian import GuardedWLS
 from sysid_bench.identification.identify import fit_fields
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial import NAMES, body_mass_inertia, inertia_values
-from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.types import Array, Body, Estimate, Problem
 from sysid_bench.words import INTERVAL_LIMITS
 
 REPORTED: Final = (
     *("rank", "data_rank", "parameters", "condition", "condition_unit", "rmse_train", "rmse_test"),
-    *("torque_error", "feasible", "converged", "iterations", "simulations", "stop"),
+    *("torque_error", "torque_error_null", "torque_error_mean", "torque_error_floor", "beaten_by"),
+    *("feasible", "converged", "iterations", "simulations", "stop"),
 )
 """Fields of the row of any identification that its result has as well."""
 OF_CELLS: Final = (*REPORTED, "torque_error_moving", "torque_error_weighted", "standstill")
 """The same of those that run the pipeline of suites."""
 
-ZERO_TORQUE: Final = 1.0
-"""Torque error of an answer that predicts no torque at all."""
+WORSE: Final = "worse"
+"""Word of --accept for an answer that a baseline beats."""
 
 WEAKEST: Final = 3
 """Base parameters at the end of the summary, those with the largest relative deviations."""
@@ -61,8 +73,9 @@ class IdentifyResult(Result):
     None unless it is identifiable. `joints`: {joint: {term: value, identifiable, std}}. `base`:
     base parameters with one standard deviation. `std_limit`: what these deviations hold, and which
     bias they do not know of. `open_directions`: number of directions of the base parameters that
-    the motion leaves open; `failure`: why the answer fails its test (torque error above 1). Both
-    sentences are the first of `warnings`. `written`: model files, read again and judged.
+    the motion leaves open; `prior_weight`: that of the prior in `wls-guarded`, 0 for least squares;
+    `failure`: why the answer fails its test (`beaten_by`: baselines that err less). Sentences on
+    these are the first of `warnings`. `written`: model files, read again and judged.
     """
 
     model: str
@@ -80,6 +93,7 @@ class IdentifyResult(Result):
     payload: dict[str, Any] | None = None
     warnings: list[str]
     open_directions: int | None = field(default=None, metadata=OMIT_NONE)
+    prior_weight: float | None = field(default=None, metadata=OMIT_NONE)
     failure: str | None = field(default=None, metadata=OMIT_NONE)
     figure: str | None = field(default=None, metadata=OMIT_NONE)
     model_out: str | None = field(default=None, metadata=OMIT_NONE)
@@ -101,12 +115,27 @@ class IdentifyResult(Result):
 
     @property
     def _urgent(self) -> int:
-        """Number of warnings that come before the answer: open directions, a failed test."""
-        return bool(self.failure) + bool(self.open_directions)
+        """Number of warnings that come before the answer: open directions, a prior that decides
+        them, a failed test."""
+        is_drawn = bool(self.open_directions or self.prior_weight)
+        return is_drawn + bool(self.failure or self.scores.get("beaten_by"))
 
     def _opening_lines(self) -> list[str]:
         """Warnings without which the answer is misread."""
         return [f"warning: {warning}" for warning in self.warnings[: self._urgent]]
+
+    def _baseline_lines(self) -> list[str]:
+        """The error of the answer on its test beside those of predictions without one."""
+        error = self.scores.get("torque_error")
+        if error is None:
+            return []
+        name = FILE_FRICTION if self.joints and self.bodies else FILE
+        errors = {WORDS[name]: "null", WORDS[MEAN]: "mean"}
+        known = {words: self.scores.get(f"torque_error_{key}") for words, key in errors.items()}
+        known |= {WORDS[ZERO]: ZERO_TORQUE}
+        known |= {"the training torque, played again": self.scores.get("torque_error_floor")}
+        texts = [f"{words} {100 * e:.3g} %" for words, e in known.items() if e is not None]
+        return [f"  torque error on the test {100 * error:.3g} %; of {', '.join(texts)}"]
 
     def _closing_lines(self) -> list[str]:
         """The other warnings, and files."""
@@ -141,29 +170,60 @@ def cell_fields(
     problem = prepared.problem
     whole = prepared.score(method, estimate) | prepared.fields | fit_fields(estimate)
     whole |= row or {}
-    directions, torque_error = open_directions(problem), whole.get("torque_error")
-    warnings, failure = [], None
-    if directions.count:
-        warnings.append(
-            f"the motion leaves {directions.count} of {directions.rank} directions of the base "
-            f"parameters open, most of all {', '.join(directions.names)}: noise or a prior decides "
-            "them, and torques of other motions may be far off. Record a richer motion "
-            "(sysid-bench excite), or use a method with a prior (--estimator lmi)"
-        )
-    if torque_error is not None and torque_error > ZERO_TORQUE:
-        failure = (
-            f"torque error {torque_error:.4g} on held-out data: the answer errs more than zero "
-            "torque does, whose error is 1; do not use it for other motions"
-        )
-        warnings.append(failure)
+    directions, warnings = open_directions(problem), []
+    weight = estimate.stats.get("weight") if isinstance(method, GuardedWLS) else None
+    if directions.count or weight:
+        warnings.append(_open_text(directions, weight, problem.prior is not None))
+    failure = _failure(whole, prepared.baselines)
+    warnings += [failure] if failure else []
     return {
         "rows": list(problem.rows),
         "scores": {name: whole.get(name) for name in scores},
         **_estimate_fields(estimate, problem, method),
         "open_directions": directions.count,
+        "prior_weight": weight,
         "failure": failure,
         "warnings": warnings,
     }
+
+
+def _open_text(directions: OpenDirections, weight: float | None, has_prior: bool) -> str:
+    """Sentence on directions that the motion leaves open, and on the prior that decides them."""
+    richer = "Record a richer motion (sysid-bench excite)"
+    found = f"the motion determines some of the {directions.rank} base parameters weakly"
+    if directions.count:
+        found = (
+            f"the motion leaves {directions.count} of {directions.rank} directions of the base "
+            f"parameters open, most of all {', '.join(directions.names)}"
+        )
+    if not weight:
+        return (
+            f"{found}: noise or a prior decides them, and torques of other motions may be far off. "
+            f"{richer}, or use a method with a prior (--estimator lmi)"
+        )
+    towards = "the bodies of the model file" if has_prior else "zero, since there is no prior"
+    return (
+        f"{found}: least squares predicts left-out parts of the motion worse than an answer that "
+        f"is drawn to {towards} (weight {weight:.3g}), which is given. {richer}"
+    )
+
+
+def _failure(row: Mapping[str, Any], against: Baselines) -> str | None:
+    """Reason for which an answer is worse than none, with what to do; None where it is not."""
+    error, beaten = row.get("torque_error"), row.get("beaten_by")
+    if error is None or not beaten:
+        return None
+    names = beaten.split(", ")
+    errors = {against.null_name: against.null, MEAN: against.mean, ZERO: ZERO_TORQUE}
+    texts = " and ".join(f"{WORDS[name]} ({errors[name]:.4g})" for name in names)
+    advice = "do not use it for other motions"
+    if names[0] == FILE_FRICTION:
+        advice = (
+            "this motion makes the bodies worse than those of the file. Use those (--estimator "
+            "file-friction) or a richer motion (sysid-bench excite), and check the recordings "
+            "(sysid-bench diagnose)"
+        )
+    return f"torque error {error:.4g} on held-out data: the answer errs more than {texts}; {advice}"
 
 
 def _estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[str, Any]:
@@ -219,14 +279,8 @@ def _values(problem: Problem, theta: Array, verdict: Array, std: Array) -> dict[
     bodies: dict[str, dict[str, Any]] = {}
     for body in problem.bodies:
         ten = [index.pop(column) for column in body.columns]
-        phi, single = theta[ten], verdict[ten] == "identifiable"
-        # Combinations count as zero here; com and inertia are only given where none is needed.
-        _, com, inertia = body_mass_inertia(np.where(single, phi, 0.0))
         bodies[body.name] = {
-            "mass": float(phi[0]) if single[0] else None,
-            "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
-            "inertia": inertia_values(inertia).tolist() if single.all() else None,
-            "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
+            **_body_values(theta[ten], verdict[ten] == "identifiable"),
             "identifiable": dict(zip(NAMES, verdict[ten].tolist(), strict=True)),
             "std": dict(zip(NAMES, std[ten].tolist(), strict=True)),
         }
@@ -241,6 +295,33 @@ def _values(problem: Problem, theta: Array, verdict: Array, std: Array) -> dict[
         entry = {"value": float(theta[j]), "identifiable": str(verdict[j]), "std": float(std[j])}
         joints.setdefault(joint, {})[term] = entry
     return {"bodies": bodies, "joints": joints}
+
+
+def _body_values(phi: Array, single: Array) -> dict[str, Any]:
+    """Values of phi (10,), of which those in the mask `single` (10,) are identifiable."""
+    # Combinations count as zero here; com and inertia are only given where none is needed.
+    _, com, inertia = body_mass_inertia(np.where(single, phi, 0.0))
+    return {
+        "mass": float(phi[0]) if single[0] else None,
+        "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
+        "inertia": inertia_values(inertia).tolist() if single.all() else None,
+        "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
+    }
+
+
+def feasible_entry(
+    entry: Mapping[str, Any], problem: Problem, body: Body, found: FeasibleBody
+) -> dict[str, Any]:
+    """The entry of a body with its feasible values, and what that constraint changes as
+    `constraint`."""
+    values: dict[str, Any] = {}
+    if found.binds:
+        theta = problem.base.embed(found.beta)
+        phi = theta[[problem.parameters.index(column) for column in body.columns]]
+        single = [verdict == "identifiable" for verdict in entry["identifiable"].values()]
+        values = _body_values(phi, np.array(single))
+    change = {"binds": found.binds, "excess": found.excess, "cost": found.cost}
+    return {**entry, **values, "constraint": change | {"without": found.without}}
 
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
@@ -301,6 +382,27 @@ def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
     if others:
         lines.append(f"  nothing is identifiable on its own: {first_names(others, SHOWN)}")
     return lines
+
+
+def constraint_lines(constraint: Mapping[str, Any]) -> Iterator[str]:
+    """What the feasible inertia of a load changes; none where the data have it by themselves."""
+    if not constraint["binds"]:
+        return
+    yield (
+        "    held feasible (mass positive, inertia about the centre within the triangle "
+        f"inequality): torque error {_percent(constraint['cost'])}, squared residuals over their "
+        f"noise {constraint['excess']:+.3g}"
+    )
+    free = constraint["without"]
+    texts = [f"mass {free['mass'][0]:.4g} kg"] if "mass" in free else []
+    if "inertia" in free:
+        texts.append(f"inertia {' '.join(f'{x:.2g}' for x in free['inertia'])} kg m^2")
+    if texts:
+        yield f"      without it: {', '.join(texts)}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:+.2g} %"
 
 
 def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:

@@ -50,14 +50,16 @@ merge = python_function(Merge, "merge")
 @dataclass(frozen=True, eq=False, repr=False)
 class MergeResult(Result):
     """Merged run in `folder` (None where nothing is written): its rows, the cells still `open`,
-    cells that several runs computed with equal results (`twice`), the ids of `contradictions`:
-    cells whose ok rows differ, and the places (file:line) of rows that were `changed` after they
+    cells that several runs computed with equal results (`twice`), those of them that are equal up
+    to the rounding of other processors (`rounded`), the ids of `contradictions`: cells whose ok
+    rows differ by more, and the places (file:line) of rows that were `changed` after they
     were written."""
 
     folder: str | None
     rows: int
     open: int
     twice: int
+    rounded: int
     contradictions: tuple[str, ...]
     changed: tuple[str, ...]
     exit_code: int
@@ -77,4 +79,6 @@ class MergeResult(Result):
                 "'sysid-bench cell RUN ID'."
             )
         counts = f"{self.rows} rows, {self.open} open, {self.twice} computed twice and equal"
+        if self.rounded:
+            counts += f" ({self.rounded} of them up to the rounding of another processor)"
         return f"{counts}\nrun: {self.folder}"

@@ -145,7 +145,7 @@ class DiagnoseInput:
         return self._low_pass.smooth(self.torque_samples, self.rate)
 
     @cached_property
-    def _kept(self) -> slice:
+    def kept(self) -> slice:
         """Samples of the recording that are kept: without the ends, decimated."""
         count = len(self.log.recording)
         edge = min(self._low_pass.edge(self.rate), count // 10)
@@ -154,7 +154,7 @@ class DiagnoseInput:
     def torque_with_delay(self, j: int, lags: Array, rows: slice) -> tuple[Array, Array]:
         """Filtered torque (N', k) of a joint, `lags` (k,) samples later than each of some samples,
         and which of these (N',) have all of them."""
-        index = np.arange(len(self.log.recording))[self._kept][rows]
+        index = np.arange(len(self.log.recording))[self.kept][rows]
         inside = (index + lags.min() >= 0) & (index + lags.max() < len(self.log.recording))
         return self._smooth_torque[:, j][index[inside][:, None] + lags], np.flatnonzero(inside)
 
@@ -167,7 +167,7 @@ class DiagnoseInput:
         v = derivative(low_pass, q, rate)
         a = derivative(low_pass, v, rate)
         sign = low_pass.smooth(np.sign(v), rate)
-        return JointMotion(q, v, a, sign).rows(self._kept)
+        return JointMotion(q, v, a, sign).rows(self.kept)
 
     @cached_property
     def torque_samples(self) -> Array:
@@ -177,7 +177,7 @@ class DiagnoseInput:
     @cached_property
     def torque(self) -> Array:
         """Filtered torque (N, n), decimated."""
-        return self._smooth_torque[self._kept]
+        return self._smooth_torque[self.kept]
 
     @cached_property
     def rms(self) -> Array:

@@ -65,6 +65,25 @@ def loaded_joints(rms: Array, kinds: Sequence[str]) -> Array:
     return np.asarray(large & (rms > 0))
 
 
+def mean_torque_error(problem: Problem, tests: list[Problem]) -> float | None:
+    """Return the `torque_error` on tests of predicting the mean torque of each row in the training
+    data; None where a problem does not state its torque."""
+    if problem.mean is None or not tests:
+        return None
+    squares = np.zeros(len(problem.rows))
+    for test in tests:
+        if test.torque is None or test.mean is None:
+            return None
+        # sum (tau - m)^2 from the sums of tau and tau^2: no sample is read again.
+        of_row = test.torque**2 - 2 * problem.mean * test.mean + problem.mean**2
+        squares += _row_counts(test) * np.maximum(of_row, 0.0)
+    rms = row_rms(tests)
+    loaded = loaded_joints(rms, tests[0].kinds or ("",) * len(rms))
+    loaded &= [len(factor.columns) > 0 for factor in tests[0].factors]
+    shares = squares[loaded] / _all_counts(tests)[loaded] / rms[loaded] ** 2
+    return float(np.sqrt(shares.mean())) if loaded.any() else None
+
+
 @dataclass(frozen=True, eq=False)
 class RowErrors:
     """Torque errors of `beta` on each row (rows,), over the samples of all `problems`."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
 
+from sysid_bench.evaluation.baselines import Baselines, baselines
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Estimate, Experiment, Problem, Row
 
@@ -35,8 +36,8 @@ class ExperimentData(Generic[S_co]):
     """One experiment, ready for its estimators.
 
     Methods get `problem` and `experiment`. `held_out` (other motions with exact signals, or test
-    logs), `held_out_moving` (the same without rows at standstill) and `source` are for scoring
-    alone.
+    logs), `held_out_moving` (the same without rows at standstill), `floor` (error of the training
+    torque itself, where a test repeats the motion) and `source` are for scoring alone.
     """
 
     robot: RobotModel
@@ -45,6 +46,7 @@ class ExperimentData(Generic[S_co]):
     held_out: Mapping[str, Problem]
     source: S_co
     held_out_moving: Mapping[str, Problem] = field(default_factory=dict)
+    floor: float | None = None
 
     @cached_property
     def figures(self) -> dict[str, Any]:
@@ -54,8 +56,15 @@ class ExperimentData(Generic[S_co]):
     @cached_property
     def fields(self) -> Row:
         """Fields of a row that all estimators share, failed ones included."""
-        return {**self.figures, **self.source.fields()}
+        return {**self.figures, **self.source.fields(), **self.baselines.fields}
+
+    @cached_property
+    def baselines(self) -> Baselines:
+        """What an answer has to be better than."""
+        return baselines(self.problem, self.held_out, self.floor)
 
     def score(self, method: Any, estimate: Estimate) -> Row:
         """Fields of a row that depend on the estimate, and its `parameters_table`."""
-        return self.source.score(self, method, estimate)
+        scores = self.source.score(self, method, estimate)
+        beaten = self.baselines.beaten_by(scores.get("torque_error"))
+        return {**scores, "beaten_by": ", ".join(beaten)}

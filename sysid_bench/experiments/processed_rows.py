@@ -79,6 +79,11 @@ class MotionRows:
         counts = [max(self.count(i), 1) for i in range(len(squares))]
         return np.sqrt(np.array(squares) / counts)
 
+    def mean(self, measured: Array) -> Array:
+        """Mean (rows,) of the same."""
+        sums = [float(self.row_values(i, x).sum()) for i, x in enumerate(measured.T)]
+        return np.array([total / max(self.count(i), 1) for i, total in enumerate(sums)])
+
     @property
     def left_out(self) -> float:
         """Share of the rows of all joints that are left out."""
@@ -172,18 +177,22 @@ def pooled(problems: Sequence[Problem]) -> Problem:
         return problems[0]
     first, periods = problems[0], {problem.period for problem in problems}
     samples = sum(problem.samples for problem in problems)
-    # RMS of the whole torque over all motions; unknown where one does not state it.
+    # RMS and mean of the whole torque over all motions; unknown where one does not state them.
     stated = [(p.samples, p.torque) for p in problems if p.torque is not None]
-    torque = None
+    means = [p.samples * p.mean for p in problems if p.mean is not None]
+    torque, mean = None, None
     if len(stated) == len(problems):
         squares = np.sum([count * rms**2 for count, rms in stated], axis=0)
         torque = np.asarray(np.sqrt(squares / max(samples, 1)))
+    if len(means) == len(problems):
+        mean = np.asarray(np.sum(means, axis=0) / max(samples, 1))
     return replace(
         first,
         factors=tuple(row_factor(row) for row in zip(*(p.factors for p in problems), strict=True)),
         blocks=partial(_blocks, tuple(problems)),
         samples=samples,
         torque=torque,
+        mean=mean,
         period=first.period if len(periods) == 1 else 0,
         motions=tuple(problems),
     )

@@ -3,11 +3,9 @@
 import importlib.util
 import json
 import os
-import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +18,11 @@ from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.frames import RowCounts
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.model import Suite
-from sysid_bench.input_files import file_hash, is_file, read_data
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.sources import ABSENT, file_state, model_states
 from sysid_bench.plugin_names import resolve_files
 from sysid_bench.types import Row
 from sysid_bench.version_fields import PACKAGE_FOLDER, source_hash, version_fields
-
-_FILE = re.compile(rb"""\s(?:file|filename)\s*=\s*["']([^"']+)["']""")
-_FOLDER = re.compile(rb"""\s(?:meshdir|assetdir)\s*=\s*["']([^"']*)["']""")
-_ABSENT = "absent"
-_PICTURES = (".png", ".jpg", ".jpeg", ".tga", ".mtl", ".ktx")
 
 
 def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
@@ -96,49 +89,14 @@ def _model_files(
 def _fingerprint(models: tuple[str, ...], plugins: tuple[str, ...]) -> str:
     files = [_model(path) for path in models]
     code = [_plugin(name) for name in plugins]
-    if _ABSENT in (*(state for states in files for state in states), *code):
+    if ABSENT in (*(state for states in files for state in states), *code):
         return ""
     own = source_hash(str(PACKAGE_FOLDER))
     return canonical_hash([own, files, code, version_fields(), sys.version_info[:2]])[:16]
 
 
-@cache
-def _file(path: str) -> str:
-    try:
-        return file_hash(Path(path))
-    except OSError:
-        return _ABSENT
-
-
-@cache
-def _model(path: str) -> list[str]:
-    """Return the hashes of a model file and of all files that it names: includes, attached models,
-    meshes and height fields, since MuJoCo can compute inertias from them. Pictures do not count."""
-    hashes, waiting, folders = dict[str, str](), [Path(path)], [Path(path).parent]
-    while waiting:
-        file = waiting.pop()
-        if str(file) in hashes:
-            continue
-        hashes[str(file)] = _file(str(file))
-        if file.suffix in (".xml", ".mjcf", ".urdf") and hashes[str(file)] != _ABSENT:
-            try:
-                text = read_data(file)
-            except OSError:  # too large for a model; it is in the hashes in any case
-                text = b""
-            meshes = (name.decode(errors="replace") for name in _FOLDER.findall(text))
-            folders += [file.parent, *(Path(path).parent / name for name in meshes)]
-            # Engines look for a file in different folders: each that is there counts.
-            below = list(dict.fromkeys(folders))
-            above = chain.from_iterable(folder.parents for folder in below)
-            names = dict.fromkeys(name.decode(errors="replace") for name in _FILE.findall(text))
-            named = [
-                name.removeprefix("package://").removeprefix("file://")
-                for name in names
-                if not name.lower().endswith(_PICTURES)
-            ]
-            places = product(named, (*below, *above))
-            waiting += filter(is_file, (folder / name for name, folder in places))
-    return list(hashes.values())
+_file = cache(file_state)
+_model = cache(model_states)
 
 
 @cache
@@ -152,13 +110,13 @@ def _plugin(name: str) -> str:
     try:
         spec = importlib.util.find_spec(root)
     except (ImportError, ValueError):
-        return _ABSENT
+        return ABSENT
     if spec is None:
-        return _ABSENT
+        return ABSENT
     if spec.submodule_search_locations:
         # The whole package: an edit of a helper module that the plug-in imports counts as well.
         return canonical_hash(list(map(source_hash, spec.submodule_search_locations)))
-    return _file(spec.origin) if spec.origin else _ABSENT
+    return _file(spec.origin) if spec.origin else ABSENT
 
 
 def is_stale(row: Row, fingerprint: str) -> bool:

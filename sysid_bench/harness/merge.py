@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
+from sysid_bench.harness.comparison.run_values import ROUNDING
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.work.row_files import RowStart, hash_error
 from sysid_bench.words import MACHINE_FIELDS
@@ -23,12 +24,14 @@ _EXCEPT: Final = MACHINE_FIELDS | {"fingerprint", "versions", "sources", "traceb
 class MergeResult:
     """Merged run. `contradictions`: cells with different ok rows, and `changed`: places of rows
     that are not as they were written; nothing is written then. `twice`: cells that several runs
-    computed with equal results, a test of reproducibility."""
+    computed with equal results, a test of reproducibility; `rounded` of them are equal up to the
+    rounding of other kernels."""
 
     folder: RunFolder | None
     rows: int
     open: int
     twice: int
+    rounded: int
     contradictions: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
 
@@ -51,10 +54,13 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     candidates, changed = _candidates(folders, frozenset(planned))
     if not mixed:
         _check_same_code(candidates)
-    contradictions = tuple(c for c, rows in candidates.items() if len(_ok(rows, "result")) > 1)
+    differing = [cell for cell, rows in candidates.items() if len(_ok(rows, "result")) > 1]
+    contradictions = tuple(cell for cell in differing if not _agree(candidates[cell]))
     twice = sum(sum(row.status == "ok" for row in rows) > 1 for rows in candidates.values())
+    rounded = len(differing) - len(contradictions)
     if contradictions or changed:
-        return MergeResult(None, len(candidates), len(planned), twice, contradictions, changed)
+        counts = (len(candidates), len(planned), twice - len(contradictions), rounded)
+        return MergeResult(None, *counts, contradictions, changed)
     folder = folders[0].write_plan(out, _environment(folders))
     with folder.new_writer("merge") as writer:
         for cell in filter(candidates.__contains__, planned):
@@ -63,7 +69,35 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
             writer.write(best.place.read())
     _copy_artifacts(folders, out)
     folder.write_frames()
-    return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice)
+    return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice, rounded)
+
+
+_KERNELS: Final = 1e-12
+"""Relative difference of the results of two processors: their kernels add in another order."""
+
+
+def _agree(rows: "Iterable[_Candidate]") -> bool:
+    """True where the ok rows of a cell are equal up to the rounding of other processors."""
+    first, *others = (row.place.read() for row in rows if row.status == "ok")
+    # Rounding grows with the condition number of the regressor: 1e-15 of a double times it.
+    size = max(_KERNELS, 1e-15 * float(first.get("condition") or 0.0))
+    kept = {key: value for key, value in first.items() if key not in _EXCEPT}
+    return all(
+        kept.keys() == {*other} - _EXCEPT and _are_near(kept, {k: other[k] for k in kept}, size)
+        for other in others
+    )
+
+
+def _are_near(a: Any, b: Any, size: float) -> bool:
+    """True for values of JSON whose numbers differ by rounding: relative to the larger one, and
+    absolutely where both are errors of exact data. Counts, names and verdicts are equal."""
+    if isinstance(a, float) and isinstance(b, float):
+        return abs(a - b) <= max(size * max(abs(a), abs(b)), ROUNDING)
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return a.keys() == b.keys() and all(_are_near(a[key], b[key], size) for key in a)
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(_are_near(x, y, size) for x, y in zip(a, b, strict=True))
+    return bool(a == b)
 
 
 def _same_plan(folders: Sequence[RunFolder]) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, default_names
 from sysid_bench.harness.suite_cells import check_size, is_random, suite_cells
+from sysid_bench.models.model_record import ModelRecord
 from sysid_bench.types import Row
 from sysid_bench.words import CELL_FIELDS
 
@@ -27,11 +28,13 @@ _REPEAT = b', "repeat": '  # as last field of a line
 
 @dataclass(frozen=True)
 class Plan:
-    """Every cell in the order of the suite. `excluded` counts cells per reason."""
+    """Every cell in the order of the suite. `excluded` counts cells per reason; `models` holds the
+    records of the robots, by label."""
 
     cells: tuple[Cell, ...]
     excluded: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    models: Mapping[str, ModelRecord] = field(default_factory=dict)
 
     @property
     def spec_list(self) -> tuple[ExperimentSpec, ...]:
@@ -86,7 +89,8 @@ def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = Fa
     """
     if not large:
         check_size(suite)
-    cells = suite_cells(suite, names or default_names())
+    names = names or default_names()
+    cells = suite_cells(suite, names)
     _check_rankings(suite, cells)
     rules = [(Expression.parse(rule.when), rule.reason) for rule in suite.exclude]
     kept, excluded = [], {reason: 0 for _, reason in rules}
@@ -102,7 +106,16 @@ def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = Fa
     for cell in kept:
         unique.setdefault(cell.id, cell)
     ordered = tuple(unique.values())
-    return Plan(ordered, excluded, tuple(_notes(suite, kept, ordered)))
+    return Plan(
+        ordered, excluded, tuple(_notes(suite, kept, ordered)), _models(suite, names, ordered)
+    )
+
+
+def _models(suite: Suite, names: Names, cells: Iterable[Cell]) -> dict[str, ModelRecord]:
+    """Return the records of the robots that are here, by their labels."""
+    robots = {c.labels["robot"]: (c.spec.robot, suite.folder, c.spec.free_base) for c in cells}
+    found = {label: names.model(*robot) for label, robot in robots.items()}
+    return {label: record for label, record in found.items() if record is not None}
 
 
 def _check_rankings(suite: Suite, cells: Iterable[Cell]) -> None:

@@ -57,6 +57,7 @@ from sysid_bench.harness.work.row_files import (
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.work.worker_process import worker_environment
 from sysid_bench.input_files import LARGEST, check_file, is_file, is_folder, parse_json, read_text
+from sysid_bench.models.model_record import ModelRecord
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ _LOOKED_AT: Final = 500
 _PLACES: Final = (Path(), Path("reports"), Path("runs"))
 PLAN: Final = "plan.jsonl"
 """The file that makes a folder a run."""
+MODELS: Final = "models.json"
 
 
 def run_names(*places: Path) -> list[str]:
@@ -129,7 +131,7 @@ class RunFolder:
                         "or remove the folder."
                     )
                 hashed = cls(path).has_hashes  # its rows may be of an earlier version
-            folder._fill(with_rows(suite, hashed=hashed), plan.to_json_lines(), env)
+            folder._fill(with_rows(suite, hashed=hashed), plan.to_json_lines(), env, plan.models)
         vars(folder)["plan"] = Plan(plan.cells)  # as its file has it, which need not be read
         return folder
 
@@ -138,18 +140,26 @@ class RunFolder:
         folder = RunFolder(path)
         try:
             suite = with_rows(self.suite, hashed=True)
-            folder._fill(suite, (line.decode() for line in self._plan_lines()), env)
+            lines = (line.decode() for line in self._plan_lines())
+            folder._fill(suite, lines, env, self.models)
         except UnicodeDecodeError as error:
             raise self._unreadable(PLAN, error) from error
         return folder
 
-    def _fill(self, suite: Suite, plan: Iterable[str], env: Mapping[str, Any]) -> None:
+    def _fill(
+        self,
+        suite: Suite,
+        plan: Iterable[str],
+        env: Mapping[str, Any],
+        models: Mapping[str, ModelRecord],
+    ) -> None:
         (self.path / "cells").mkdir(parents=True, exist_ok=True)
         (self.path / "logs").mkdir(exist_ok=True)
         self.write("run.toml", suite_text(suite))
         # That of a run that goes on is the environment of its rows until it computes again.
         if not (self.path / "env.json").is_file():
             self.write_environment(env)
+        self.write(MODELS, json.dumps(models) + "\n")
         self._write_parts(PLAN, plan)  # last: from now on it is a run
 
     @classmethod
@@ -191,13 +201,21 @@ class RunFolder:
     @property
     def environment(self) -> dict[str, Any]:
         """Versions, CPU, BLAS and git of the machine that last ran cells."""
-        text = self._read("env.json")
+        return self._read_object("env.json")
+
+    @property
+    def models(self) -> dict[str, ModelRecord]:
+        """Records of the robots when the run was planned, by label; none in runs of before."""
+        return self._read_object(MODELS) if is_file(self.path / MODELS) else {}
+
+    def _read_object(self, name: str) -> dict[str, Any]:
+        text = self._read(name)
         try:
             found = parse_json(text)
         except ValueError as error:
-            raise self._unreadable("env.json", error) from error
+            raise self._unreadable(name, error) from error
         if not isinstance(found, dict):
-            raise self._unreadable("env.json", "it is not a JSON object")
+            raise self._unreadable(name, "it is not a JSON object")
         return found
 
     @property

@@ -4,6 +4,7 @@ The order is that of the assembly: read the file (urdf/, mjcf/), free the base, 
 lock joints, mount the payload, then couple joints (coupling/).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,7 +23,7 @@ from sysid_bench.models.mjcf import mjcf_spec
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, RobotModel
 from sysid_bench.models.tree import tree_of
-from sysid_bench.models.urdf import canonical_urdf
+from sysid_bench.models.urdf import canonical_urdf, gear_ratios
 from sysid_bench.models.urdf_links import free_name
 from sysid_bench.models.xml_file import parse_xml, read_file
 from sysid_bench.spatial import matrix_of_quaternion, phi_of
@@ -73,14 +74,17 @@ class _Source:
     repairs: tuple[str, ...]
     velocities: dict[str, float]  # limits by joint, rad/s or m/s
     actuated: tuple[str, ...]  # joints with motors
+    motors: Mapping[str, tuple[float, ...]]  # by joint: gear ratio, then its range of force
 
 
 def _read_source(manifest: Manifest, free: bool) -> _Source:
     """Read a URDF or MJCF, distinguished by the root element, not by the suffix."""
     data = read_file(manifest.path) if manifest.text is None else manifest.text.encode()
     file = manifest.path.name
-    root = parse_xml(data, file).tag
+    element = parse_xml(data, file)
+    root = element.tag
     if root == "robot":
+        gears = gear_ratios(element)
         urdf = canonical_urdf(data, file, free)
         try:
             spec = mujoco.MjSpec.from_string(urdf.text)
@@ -92,7 +96,9 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
         else:
             ignored = [f"mimic joint {m.joint!r} treated as independent" for m in urdf.mimic]
         repairs = (*ignored, *urdf.repairs)
-        return _Source("urdf", spec, urdf.text.encode(), repairs, urdf.velocity_limits, ())
+        return _Source(
+            "urdf", spec, urdf.text.encode(), repairs, urdf.velocity_limits, (), motors=gears
+        )
     if root == "mujoco":
         try:
             str(manifest.path).encode()
@@ -100,8 +106,8 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
             name = repr(str(manifest.path))
             raise ModelError(f"MuJoCo needs a path in UTF-8; got {name}: rename it.") from error
         text = None if manifest.text is None else data
-        spec, repairs, actuated = mjcf_spec(manifest.path, text, manifest.assets)
-        return _Source("mjcf", spec, data, repairs, {}, actuated)
+        spec, repairs, motors = mjcf_spec(manifest.path, text, manifest.assets)
+        return _Source("mjcf", spec, data, repairs, {}, tuple(motors), motors=motors)
     if root == "mujocoinclude":
         raise ModelError(
             f"{file} is a part to be included in a model; give the file that includes it."
@@ -146,6 +152,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         text=source.text,
         repairs=(*source.repairs, *base_repairs, *warnings, *ignored),
         coupling=coupling,
+        motors=source.motors,
     )
 
 

@@ -250,9 +250,9 @@ _UNUSED: Final = (
 
 def mjcf_spec(
     path: Path, text: bytes | None = None, assets: Path | None = None
-) -> tuple[mujoco.MjSpec, tuple[str, ...], tuple[str, ...]]:
+) -> tuple[mujoco.MjSpec, tuple[str, ...], dict[str, tuple[float, ...]]]:
     """Return the spec of a file, or of a text without includes that is called `path`; the parts
-    left out, in words; and the joints with motors.
+    left out, in words; and the joints with motors, each with gear ratio and range of force.
 
     Files are read below the folder `assets` (None: that of `path`). Raises ModelError with MuJoCo's
     reason.
@@ -270,11 +270,15 @@ def mjcf_spec(
     repairs += compiled_inertia(spec, path, folder)
     repairs += add_mass(spec, path.name)
     repairs += joint_terms_of(spec)
-    # Torques are inputs here; of the actuators only the joints that they act on are kept.
-    actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
+    # Torques are inputs here; of the actuators only joints, gears and ranges of force are kept.
+    motors = {
+        a.target: (float(a.gear[0]), *map(float, a.forcerange))
+        for a in spec.actuators
+        if int(a.trntype) in AT_JOINT
+    }
     for actuator in list(spec.actuators):
         spec.delete(actuator)
-    return spec, repairs, actuated
+    return spec, repairs, motors
 
 
 def _read(path: Path, text: bytes | None, folder: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:

@@ -1,5 +1,6 @@
 """`RobotModel`: the compiled MuJoCo model with its names, limits, couplings and true parameters."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
@@ -96,6 +97,8 @@ class RobotModel:
     drive_ratio: Array | None = None
     """Displacement of each joint (nv,) per displacement that the identified model takes from its
     drive; None: they are equal. Only the plant's robot has one."""
+    motors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Motors that the file states, by joint: gear ratio, then (MJCF) the range of force."""
 
     @property
     def rows(self) -> tuple[str, ...]:

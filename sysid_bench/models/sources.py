@@ -2,9 +2,11 @@
 
 import hashlib
 import importlib
+import re
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from functools import lru_cache
+from itertools import chain, product
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, NamedTuple
@@ -12,7 +14,7 @@ from urllib.parse import parse_qsl, urlencode
 
 from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, SysidBenchError, UsageError, reason_of, unknown_name
-from sysid_bench.input_files import is_file, is_folder
+from sysid_bench.input_files import file_hash, is_file, is_folder, read_data
 from sysid_bench.models.xml_file import parse_xml, read_file
 
 SEPARATOR: Final = "?"
@@ -216,3 +218,47 @@ def _tags(file: Path, depth: int) -> frozenset[str]:
     outline = _outline(file)
     inner = (_tags(file.parent / name, depth - 1) for name in outline.included if depth)
     return outline.tags.union(*inner)
+
+
+_FILE: Final = re.compile(rb"""\s(?:file|filename)\s*=\s*["']([^"']+)["']""")
+_FOLDER: Final = re.compile(rb"""\s(?:meshdir|assetdir)\s*=\s*["']([^"']*)["']""")
+_PICTURES: Final = (".png", ".jpg", ".jpeg", ".tga", ".mtl", ".ktx")
+ABSENT: Final = "absent"
+
+
+def file_state(path: str) -> str:
+    """Return the hash of a file, ABSENT where it cannot be read."""
+    try:
+        return file_hash(Path(path))
+    except OSError:
+        return ABSENT
+
+
+def model_states(path: str) -> list[str]:
+    """Return the hashes of a model file and of all files that it names: includes, attached models,
+    meshes and height fields, since MuJoCo can compute inertias from them. Pictures do not count."""
+    hashes, waiting, folders = dict[str, str](), [Path(path)], [Path(path).parent]
+    while waiting:
+        file = waiting.pop()
+        if str(file) in hashes:
+            continue
+        hashes[str(file)] = file_state(str(file))
+        if file.suffix in (".xml", ".mjcf", ".urdf") and hashes[str(file)] != ABSENT:
+            try:
+                text = read_data(file)
+            except OSError:  # too large for a model; it is in the hashes in any case
+                text = b""
+            meshes = (name.decode(errors="replace") for name in _FOLDER.findall(text))
+            folders += [file.parent, *(Path(path).parent / name for name in meshes)]
+            # Engines look for a file in different folders: each that is there counts.
+            below = list(dict.fromkeys(folders))
+            above = chain.from_iterable(folder.parents for folder in below)
+            names = dict.fromkeys(name.decode(errors="replace") for name in _FILE.findall(text))
+            named = [
+                name.removeprefix("package://").removeprefix("file://")
+                for name in names
+                if not name.lower().endswith(_PICTURES)
+            ]
+            places = product(named, (*below, *above))
+            waiting += filter(is_file, (folder / name for name, folder in places))
+    return list(hashes.values())

@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, product
 from typing import Final
@@ -216,6 +217,17 @@ def _velocity_limits(robot: ET.Element) -> dict[str, float]:
     limited = {joint.get("name", ""): joint.find("limit") for joint in robot.findall("joint")}
     stated = {n: float(x.get("velocity", 0.0)) for n, x in limited.items() if x is not None}
     return {joint: v for joint, v in stated.items() if v > 0}
+
+
+def gear_ratios(robot: ET.Element) -> dict[str, tuple[float, ...]]:
+    """Gear ratio of each joint that a <transmission> of a URDF states, which no engine reads."""
+    gears: dict[str, tuple[float, ...]] = {}
+    for part in robot.iter("transmission"):
+        written = next((e.text for e in part.iter("mechanicalReduction")), None)
+        with suppress(TypeError, ValueError):  # none, or not a number: nothing is stated
+            ratio = float(written)  # type: ignore[arg-type]
+            gears |= {joint.get("name", ""): (ratio,) for joint in part.iter("joint")}
+    return gears
 
 
 def _remove_unused(robot: ET.Element) -> Iterator[str]:

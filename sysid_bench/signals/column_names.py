@@ -69,7 +69,7 @@ def columns_of_signal(
     arrays = [name for name in names if is_signal(name, signal) and len(names[name]) > 1]
     by_joint: dict[str, str] = {}
     for name in single:
-        by_joint.setdefault(_joint_in(name, joints), name)
+        by_joint.setdefault(joint_in(name, joints), name)
     return (
         usual_columns(names, signal, joints)
         or [by_joint[joint] for joint in joints if joint in by_joint]
@@ -84,7 +84,7 @@ def single_columns(names: Mapping[str, tuple[int, ...]], signal: str) -> list[st
     return [name for name in names if is_signal(name, signal) and len(names[name]) == 1]
 
 
-def _joint_in(name: str, joints: Sequence[str]) -> str:
+def joint_in(name: str, joints: Sequence[str]) -> str:
     """Return the longest of the joints that a name contains, "" without one."""
     longest_first = sorted(joints, key=len, reverse=True)
     return next((joint for joint in longest_first if joint in name), "")
@@ -92,7 +92,7 @@ def _joint_in(name: str, joints: Sequence[str]) -> str:
 
 def joints_of_columns(columns: Sequence[str], joints: Sequence[str]) -> list[str] | None:
     """Return the joint that each column names, None unless each names another one."""
-    found = [_joint_in(name, joints) for name in columns]
+    found = [joint_in(name, joints) for name in columns]
     return found if all(found) and len(set(found)) == len(found) else None
 
 

@@ -21,7 +21,7 @@ from sysid_bench.signals.log_samples import (
     read_samples,
     scalar_kinds,
 )
-from sysid_bench.signals.log_source import merge_sources, read_time
+from sysid_bench.signals.log_source import clocks_finding, read_time
 from sysid_bench.signals.position_control import (
     Commands,
     commands_of,
@@ -78,7 +78,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     if samples.v is not None:
         rates = log_checks.check_rates(samples.q, samples.v, rate, joints)
     findings = [
-        *([merge_sources(description).finding] if description.sources else []),
+        *clocks_finding(description),
         *_damaged(raw.truncated, invalid),
         *timing,
         *_held(*log_checks.held_rows(measured.q[grid.valid], rate)),

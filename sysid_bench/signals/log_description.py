@@ -34,7 +34,6 @@ _UNCHANGED: Final = (
         "v_ref",
         "wrench",
         "base",
-        "time",
         "reader",
         "controller",
     ),
@@ -126,7 +125,8 @@ class LogDescription:
         if self.data is not None:
             return []
         parts: list[Signal | Time | Source] = [*self.columns, *self.wrench]
-        parts += [] if self.time is None else [self.time]
+        clocks = [self.time, *map(own_time, (*self.columns, *self.wrench))]
+        parts += [time for time in clocks if time is not None]
         own = [part for part in parts if part.file is not None]
         return [*self.sources, *own] if self.sources else parts
 
@@ -243,7 +243,8 @@ def description_of(
     """
     keys = log_keys.with_preset(text, source)
     written = log_keys.check_keys(keys, source, _advice(keys, source))
-    if written.rate is None and written.time is None and isinstance(written.file, str | None):
+    time = written.time or own_time(written.q)
+    if written.rate is None and time is None and isinstance(written.file, str | None):
         raise UsageError(
             f"{source}: neither rate nor time is given; write rate = '200 Hz', or time = the "
             "column of time stamps."
@@ -257,6 +258,7 @@ def description_of(
         source=source,
         file=written.file if isinstance(written.file, str) else None,
         sources=written.file if isinstance(written.file, tuple) else (),
+        time=time,
         rate=_positive("rate", written.rate, "Hz", source),
         period=_positive("period", written.period, "s", source),
         transmission=_transmission(written, source),
@@ -264,6 +266,13 @@ def description_of(
     )
     _check_joints(description)
     return description
+
+
+def own_time(part: Signal) -> Time | None:
+    """Return the stamps of the file of a signal, None where it has no clock of its own."""
+    if part.time is None or part.time.file is not None:
+        return part.time
+    return part.time.model_copy(update={"file": part.file, "reader": part.reader})
 
 
 def _advice(keys: Mapping[str, Any], source: Path) -> str:

@@ -57,14 +57,30 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True, strict=True)
 
 
+class Time(_Table):
+    """Column of time stamps, or several that are added up, such as seconds and nanoseconds."""
+
+    column: Annotated[tuple[_Column, ...], _Several]  # name or index from 1
+    unit: Annotated[tuple[str, ...], _Several] = ("s",)  # of each column
+    file: str | None = None  # file of the stamps, where it is another
+    reader: str | dict[str, Any] | None = None  # reader of that file
+
+
+def _time(value: Any) -> Any:
+    return value if isinstance(value, (Mapping, Time)) else {"column": value}
+
+
+_TimeKey = Annotated[Time | None, BeforeValidator(_time)]
+
+
 class Signal(_Table):
     """Columns of one signal, in the order of `joints`; one number of a setting serves all joints.
 
     q, v = raw unit gain / ratio + offset; tau = raw unit gain ratio + offset (`gain`, `ratio`,
     `offset`), the offset in SI and in the joint's coordinate. Instead of `columns`, `match`: a
-    regular expression of their names, in the order of the number that its group finds. `resample`:
-    at stamps of another file the signal is interpolated ("linear"), or holds its last value
-    ("previous": commands).
+    regular expression of their names, in the order of the number that its group finds, or of the
+    joint that each names. `resample`: at stamps of another file the signal is interpolated
+    ("linear"), or holds its last value ("previous": commands).
     """
 
     columns: Annotated[tuple[_Column, ...], _Several] = ()  # names, or indices from 1
@@ -76,6 +92,7 @@ class Signal(_Table):
     offset: Annotated[tuple[float, ...], _Several] = (0.0,)  # in SI units, of the joint
     file: str | None = None  # where this signal has a file of its own
     reader: str | dict[str, Any] | None = None  # of that file
+    time: _TimeKey = None  # stamps of its own, where that file has another clock
     per_row: Annotated[int, Field(gt=0)] | None = None  # of a file with one number a line
     resample: Literal["linear", "previous"] = "linear"  # at stamps of another file
 
@@ -120,10 +137,29 @@ class PositionControl(_Table):
         return {name: part for name, part in parts.items() if isinstance(part, Signal)}
 
 
+def _fraction(value: Any) -> Any:
+    """Return the number of "10 %"; anything but a text as it is."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return quantity(value, "1")
+    except UsageError as error:
+        raise ValueError(str(error).rstrip(".")) from error
+
+
+def _shares(value: Any) -> Any:
+    values = tuple(map(_fraction, _one_or_more(value)))
+    if not all(isinstance(x, float) and 0 < x < 1 for x in values):
+        raise ValueError(f"must be shares between 0 and 1, as 0.02 or '2 %'; got {value!r}")
+    return values
+
+
 class Torque(Signal):
     """Measured torque, or `pd` in place of its columns: that of a position controller."""
 
     is_recorded: ClassVar[bool] = True
+    gain_std: Annotated[tuple[float, ...], BeforeValidator(_shares)] = ()
+    """Standard uncertainty of the gains: one factor for all joints, or one each; "2 %"."""
     pd: PositionControl | None = None
 
     @model_validator(mode="after")
@@ -191,22 +227,6 @@ def _wrenches(value: Any) -> Any:
     return value if isinstance(value, (list, tuple)) or value is None else (value,)
 
 
-class Time(_Table):
-    """Column of time stamps, or several that are added up, such as seconds and nanoseconds."""
-
-    column: Annotated[tuple[_Column, ...], _Several]  # name or index from 1
-    unit: Annotated[tuple[str, ...], _Several] = ("s",)  # of each column
-    file: str | None = None  # file of the stamps, where it is another
-    reader: str | dict[str, Any] | None = None  # reader of that file
-
-
-def _time(value: Any) -> Any:
-    return value if isinstance(value, (Mapping, Time)) else {"column": value}
-
-
-_TimeKey = Annotated[Time | None, BeforeValidator(_time)]
-
-
 class Source(_Table):
     """One of several files of a recording, with its own clock: `offset` is added to its stamps."""
 
@@ -226,16 +246,6 @@ class ControllerKeys(_Table):
     kd: Annotated[tuple[float, ...], _Several]  # rate gains
     rate: str | float | None = None
     held: bool = False
-
-
-def _fraction(value: Any) -> Any:
-    """Return the number of "10 %"; anything but a text as it is."""
-    if not isinstance(value, str):
-        return value
-    try:
-        return quantity(value, "1")
-    except UsageError as error:
-        raise ValueError(str(error).rstrip(".")) from error
 
 
 def _files(value: Any) -> Any:
@@ -311,7 +321,7 @@ def _known_keys(path: tuple[Any, ...]) -> set[str]:
         "wrench": Wrench,
         "base": Base if len(path) == 2 else Signal,
     }
-    table, place = tables.get(path[0], Signal), path[:-1]
+    table, place = Time if path[-2] == "time" else tables.get(path[0], Signal), path[:-1]
     if path[:2] == ("tau", "pd"):
         table = PositionControl if len(path) == 3 else Signal
     else:

@@ -11,7 +11,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_checks import held_rows
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_keys import BASE, COMMANDED, SIGNALS, TOLD, Base, Signal, Wrench
-from sysid_bench.signals.log_source import select_columns, table_of
+from sysid_bench.signals.log_source import read_columns
 from sysid_bench.types import Array
 
 _ANGLE: Final = {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
@@ -223,10 +223,9 @@ def _read_signals(log: LogDescription, kinds: Sequence[str]) -> Samples:
     values: dict[str, Any] = {"v": None}
     truncated = 0
     for name, part in log.signals.items():
-        table = table_of(log, part)
+        table, x = read_columns(log, part)
         if name == "q" and table.unit_doubt and part.unit is None and part.gain == (1.0,):
             raise UsageError(f"{log.source}: unit of q: {table.unit_doubt}.")
-        x = table.columns(select_columns(log, part, table))
         if x.shape[1] != len(log.joints):
             raise UsageError(
                 f"{log.source}: {name} has {x.shape[1]} columns for {len(log.joints)} joints; "
@@ -294,8 +293,7 @@ def _sensor_columns(
     log: LogDescription, part: Signal, where: str, width: int, advice: str
 ) -> tuple[Array, Array, Array]:
     """Return columns (N, width) of a sensor, and the gain and the offset (width,) of each."""
-    table = table_of(log, part)
-    values = table.columns(select_columns(log, part, table))
+    _, values = read_columns(log, part)
     if values.shape[1] != width:
         raise UsageError(
             f"{log.source}: {where} has {values.shape[1]} columns; write {width}{advice}."

@@ -11,8 +11,9 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, first_names, unknown_name
+from sysid_bench.signals.column_names import joint_in
 from sysid_bench.signals.log_checks import Finding
-from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_description import LogDescription, own_time
 from sysid_bench.signals.log_keys import Signal, Source, Time, preset_note
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_table import LogTable, table_of_rows
@@ -40,29 +41,69 @@ def table_of(log: LogDescription, part: Signal | Time) -> LogTable:
     return table
 
 
-def select_columns(log: LogDescription, part: Signal, table: LogTable) -> tuple[int | str, ...]:
-    """Return the columns of a signal: those written, or those whose names match."""
-    return part.columns if part.match is None else tuple(_matching(log, part.match, table.names))
+def read_columns(log: LogDescription, part: Signal) -> tuple[LogTable, Array]:
+    """Return the table of a signal and its numbers (N, k), at the stamps of the log where its file
+    has a clock of its own; raises UsageError for files or columns that do not exist."""
+    table = table_of(log, part)
+    chosen = part.columns if part.match is None else _matching(log, part.match, table.names)
+    x = table.columns(chosen)
+    time, common = own_time(part), _stamps(log)
+    if time is None or time == log.time or common is None:
+        return table, x
+    t, _ = check_times(_read_times(log, time, table_of(log, time)))
+    if np.isfinite(t).sum() < 2 or abs(len(t) - len(x)) > 1:
+        raise UsageError(
+            f"{log.source}: {part.file}: {np.isfinite(t).sum()} time stamps that rise for {len(x)} "
+            "samples; check time of this signal."
+        )
+    known = min(len(t), len(x))
+    return table, _at_stamps(t[:known], x[:known], common, part.resample == "previous")
+
+
+def clocks_finding(log: LogDescription) -> list[Finding]:
+    """Return what was joined by time: files by name, or signals by their own clocks."""
+    if log.sources:
+        return [merge_sources(log).finding]
+    times = {name: own_time(part) for name, part in log.signals.items()}
+    apart = [name for name, time in times.items() if time is not None and time != log.time]
+    if not apart:
+        return []
+    text = (
+        f"{', '.join(apart)}: each by its own clock at the common time stamps, linear for signals, "
+        "the previous value for commands"
+    )
+    return [Finding("joined", len(apart), text)]
 
 
 def _matching(log: LogDescription, pattern: str, names: Iterable[str]) -> list[str]:
-    """Return the names that match a whole pattern, by the number in its group.
+    """Return the names that match a whole pattern, by the number in its group, or else by the joint
+    that each names.
 
     Raises UsageError for none, or for a pattern that is not one.
     """
     try:
         found = {name: hit for name in names if (hit := re.fullmatch(pattern, name)) is not None}
-        ordered = sorted(found, key=lambda name: int(found[name][1]))
-    except (re.error, IndexError, ValueError, TypeError, RecursionError, OverflowError) as error:
+        keys = {name: hit[1] if hit.re.groups else name for name, hit in found.items()}
+        if found and all(key.isdecimal() for key in keys.values()):
+            return sorted(found, key=lambda name: int(keys[name]))
+    except (re.error, AttributeError, ValueError, RecursionError, OverflowError) as error:
         raise UsageError(
-            f"{log.source}: match = {pattern!r} has to be a regular expression with one group of "
-            "digits, as 'q_(\\d+)'."
+            f"{log.source}: match = {pattern!r} is not a regular expression with a group that is "
+            f"always there, as 'q_(\\d+)' or '.*_position': {error}."
         ) from error
-    if not ordered:
+    if not found:
         raise UsageError(
             f"{log.source}: no column matches {pattern!r}; there are {first_names(names, 8)}."
         )
-    return ordered
+    owners = {name: joint_in(key, log.joints) for name, key in keys.items()}
+    by_joint = {joint: name for name, joint in owners.items() if joint}
+    if len(by_joint) < len(log.joints) or len(by_joint) < sum(map(bool, owners.values())):
+        raise UsageError(
+            f"{log.source}: match = {pattern!r} finds {first_names(found, 8)}: one of them "
+            f"must name each of the joints {first_names(log.joints, 8)}; or give them numbers, as "
+            "'q_(\\d+)'."
+        )
+    return [by_joint[joint] for joint in log.joints]
 
 
 def read_time(log: LogDescription, samples: int) -> Array | None:
@@ -71,12 +112,9 @@ def read_time(log: LogDescription, samples: int) -> Array | None:
 
     Raises UsageError for a wrong unit, column or length.
     """
-    if log.sources and (log.time is None or log.time.file is None):
-        stamps = merge_sources(log).t
-    elif log.time is None:
+    stamps = _stamps(log)
+    if stamps is None:
         return None
-    else:
-        stamps = _read_times(log, log.time, table_of(log, log.time))
     # The line that broke off may hold a stamp already; chosen rows end before the file does.
     whole = log.rows is None and log.share == 1.0
     first, spare = (0 if log.rows is None else log.rows[0] - 1), (1 if whole else len(stamps))
@@ -85,6 +123,13 @@ def read_time(log: LogDescription, samples: int) -> Array | None:
             f"{log.source}: there are {len(stamps)} time stamps for {samples} samples."
         )
     return stamps[first : first + samples]
+
+
+def _stamps(log: LogDescription) -> Array | None:
+    """Return the stamps of all samples (s), None without a time column."""
+    if log.sources and (log.time is None or log.time.file is None):
+        return merge_sources(log).t
+    return None if log.time is None else _read_times(log, log.time, table_of(log, log.time))
 
 
 def _read_times(log: LogDescription, time: Time, table: LogTable) -> Array:
@@ -150,7 +195,10 @@ def merge_sources(log: LogDescription) -> _Joined:
         if part.file is None:
             for name in _written(log, part, opened):
                 owner = _owner(log, name, opened)
-                parts[name] = _resampled(owner, name, first, part.resample == "previous")[rows]
+                x = owner.table.columns([name])
+                if owner is not first:
+                    x = _at_stamps(owner.t, x, first.t, part.resample == "previous")
+                parts[name] = x[rows]
     names, width = {}, 0
     for name, x in parts.items():
         names[name] = tuple(range(width, width + x.shape[1]))
@@ -209,20 +257,20 @@ def _owner(log: LogDescription, name: str, opened: Sequence[_Opened]) -> _Opened
     raise UsageError(f"{log.source}: {unknown_name('column', name, every, preset_note(every))}")
 
 
-def _resampled(owner: _Opened, name: str, first: _Opened, previous: bool) -> Array:
-    """Return a column, or the columns of an array, at the stamps of the first file (N, k)."""
-    x: Array = owner.table.columns([name])
-    if owner is first:
-        return x
-    kept = np.isfinite(owner.t)
-    t, x = owner.t[kept], x[kept]
-    before = np.clip(np.searchsorted(t, first.t, side="right") - 1, 0, len(t) - 1)
-    if previous:
-        held: Array = x[before]
-    else:
-        held = np.stack([np.interp(first.t, t, column) for column in x.T], axis=1)
+def _at_stamps(t: Array, x: Array, at: Array, previous: bool) -> Array:
+    """Return x (N, k), measured at the stamps t, at others (M, k): linear between them, or the
+    previous value; NaN in wide gaps, and beyond the ends by more than a step."""
+    kept = np.isfinite(t)
+    t, x = t[kept], x[kept]
+    before = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 1)
+    held: Array = x[before]
+    if not previous:
+        held = np.stack([np.interp(at, t, column) for column in x.T], axis=1)
     steps = np.diff(t)
-    wide = steps > _WIDE * np.median(steps)
+    step = float(np.median(steps))
+    wide = steps > _WIDE * step
     inside = np.minimum(before, len(steps) - 1)
-    held[wide[inside] & (first.t > t[inside])] = np.nan
+    held[wide[inside] & (at > t[inside])] = np.nan
+    # A command holds on; a measurement is not known beyond its last sample.
+    held[(at < t[0] - step) | ((at > t[-1] + step) & (not previous))] = np.nan
     return held

@@ -109,14 +109,14 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     if len(kept) == 1:
         ((name, x),) = kept.items()
         values = _time_by_rows(np.asarray(x, dtype=float), N)
-        return LogTable(path, values, _array_names(name, range(values.shape[1])))
+        return LogTable(path, values, array_names(name, range(values.shape[1])))
     widths = [1 if x.ndim == 1 else x.size // N for x in kept.values()]
     # Arrays that lie in a file are read one by one, so that memory holds the table and one of them.
     values, first = np.empty((N, sum(widths))), 0
     names: dict[str, tuple[int, ...]] = {}
     for (name, x), width in zip(kept.items(), widths, strict=True):
         values[:, first : first + width] = _time_by_rows(np.asarray(x), N)
-        names |= _array_names(name, range(first, first + width))
+        names |= array_names(name, range(first, first + width))
         first += width
         report(path, first, values.shape[1])
     return LogTable(path, values, names)
@@ -150,7 +150,7 @@ def columns_with_names(
     names: dict[str, tuple[int, ...]] = {}
     first = 0
     for name, (array, words) in arrays.items():
-        found = _array_names(name, range(first, first + array.shape[1]), words)
+        found = array_names(name, range(first, first + array.shape[1]), words)
         first += array.shape[1]
         twice = names.keys() & found.keys()
         if twice:
@@ -167,9 +167,7 @@ def columns_with_names(
     return np.concatenate(parts, axis=1), names
 
 
-def _array_names(
-    name: str, indices: range, words: Sequence[str] = ()
-) -> dict[str, tuple[int, ...]]:
+def array_names(name: str, indices: range, words: Sequence[str] = ()) -> dict[str, tuple[int, ...]]:
     """Return the names of an array's columns: its own for all of them, and, of several, one each:
     `words`, or numbers from 1.
 

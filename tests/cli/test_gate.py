@@ -1,6 +1,7 @@
 """Baselines on the command line: save, gate, update, and runs that are gated."""
 
 import json
+import re
 import shutil
 from collections.abc import Collection
 from dataclasses import replace
@@ -109,6 +110,59 @@ def test_two_runs_are_compared(cli: Run, saved: Path, tmp_path: Path) -> None:
     assert "reproduce" not in cli("compare", "run", "b.json").stdout
     done = cli("compare", "b.json", "run", "--metrics", "seconds")
     assert "no metric is in both" in one_sentence(done)
+
+
+def test_a_gate_names_the_joint_and_the_quantity(cli: Run, saved: Path) -> None:
+    file = saved.parent / "run" / "models.json"
+    models = json.loads(file.read_text())
+    (robot,) = models
+    joint = models[robot]["behaviour"][""]["order of joints"][1]
+    models[robot]["behaviour"][joint]["viscous friction"] = [5.0]
+    models[robot]["behaviour"][""]["gravity"] = [0, 0, -3.7]
+    file.write_text(json.dumps(models))
+    done = cli("gate", "run", "--baseline", "b.json", "--junit", "j.xml")
+    assert done.returncode == 1
+    assert "Joints that changed" in done.stdout
+    assert re.search(rf"\| {joint} +\| viscous friction", done.stdout)
+    assert re.search(r"\| \(robot\) +\| gravity +\| 0 0 -9.81 +\| 0 0 -3.7", done.stdout)
+    assert "2 other quantities of robots" in done.stdout
+    answer = json.loads(cli("gate", "run", "--baseline", "b.json", "--json").stdout)
+    assert {one["joint"] for one in answer["models"]} == {"", joint}
+    assert f"{joint}: viscous friction" in (saved.parent / "j.xml").read_text()
+    assert "Joints that changed" in cli("compare", "b.json", "run").stdout
+    taken = cli("baseline", "update", "run", "-o", "b.json").stdout
+    assert "2 changes taken over (2 quantities of robots)" in taken
+    assert cli("gate", "run", "--baseline", "b.json").returncode == 0
+    file.unlink()  # a run of an earlier version
+    older = cli("gate", "run", "--baseline", "b.json")
+    assert older.returncode == 0
+    assert f"Joints of {robot} are not compared" in older.stdout
+
+
+def test_exact_lists_what_moved_and_fails_nothing(cli: Run, saved: Path) -> None:
+    done = cli("gate", "run", "--baseline", "b.json", "--exact")
+    assert (done.returncode, "no value moved" in done.stdout) == (0, True), done.stdout
+    assert "between equal versions" in done.stdout
+    known = from_text(saved.read_text(), "b.json")
+    cells = dict(known.run.cells)
+    name, place = next(iter(cells)), [*known.run.metrics].index("torque_error")
+    values = list(cells[name].values)
+    values[place] = (values[place] or 0.0) * (1 + 1e-9)
+    cells[name] = replace(cells[name], values=tuple(values))
+    other = baseline_of(replace(known.run, cells=cells), known.tolerances)
+    saved.write_text(to_text(other))
+    done = cli("gate", "run", "--baseline", "b.json", "--exact")
+    assert (done.returncode, "1 values moved" in done.stdout) == (0, True), done.stdout
+    answer = json.loads(cli("gate", "run", "--baseline", "b.json", "--exact", "--json").stdout)
+    assert [(one["id"], one["metric"]) for one in answer["moved"]] == [(name, "torque_error")]
+    saved.write_text(to_text(replace(other, digits=7)))
+    refused = one_sentence(cli("gate", "run", "--baseline", "b.json", "--exact"))
+    assert "holds 7 digits" in refused
+    assert cli("gate", "run", "--baseline", "b.json").returncode == 0
+    old = json.loads(saved.read_text())
+    del old["digits"]
+    saved.write_text(json.dumps(old))
+    assert from_text(saved.read_text(), "b.json").digits == 7
 
 
 def with_parts(timed: Path, tmp_path: Path, parts: Collection[str], **names: str) -> Path:

@@ -121,11 +121,17 @@ def test_blocks_are_the_factors(folder: Path) -> None:
 
 def test_the_command_prints_the_contract(cli: Run, folder: Path) -> None:
     words = ("--log", str(folder / "run.toml"), "--test", str(folder / "other.toml"))
-    done = cli("identify", "ur5", *words, "--json", "--terms", "viscous")
+    # Without Coulomb friction the answer is worse than the file, which the motion was made with.
+    chosen = (*words, "--json", "--terms", "viscous")
+    assert cli("identify", "ur5", *chosen).returncode == 3
+    done = cli("identify", "ur5", *chosen, "--accept", "worse")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert set(result) >= ANSWER
     assert result["terms"] == ["viscous"]
+    assert result["beaten_by"] == "file-friction"
+    assert 0 < result["torque_error_null"] < result["torque_error"] < result["torque_error_mean"]
+    assert result["estimator"] == "wls-guarded"
     assert result["signals"]["derivatives"] == "from v"
     assert {log["use"] for log in result["logs"]} == {"train", "test"}
     assert set(result["tests"]) == {"other"}

@@ -102,7 +102,8 @@ def small_motion(share: float) -> Recorded:
 def test_an_answer_worse_than_zero_torque_ends_with_3_and_is_written(
     cli: Run, folder: Path, tmp_path: Path
 ) -> None:
-    logs = ("--log", str(folder / "small.toml"), "--test", str(folder / "other.toml"))
+    small, other = str(folder / "small.toml"), str(folder / "other.toml")
+    logs = ("--log", small, "--test", other, "--estimator", "wls")
     done = cli("identify", "ur5", *logs, "--model-out", "out.urdf")
     assert done.returncode == 3
     assert "torque error" in done.stderr
@@ -120,9 +121,14 @@ def test_an_answer_worse_than_zero_torque_ends_with_3_and_is_written(
 
 
 def test_from_python_it_is_a_field(folder: Path) -> None:
-    result = sysid_bench.identify("ur5", log=folder / "small.toml", test=folder / "other.toml")
+    small, other = folder / "small.toml", folder / "other.toml"
+    result = sysid_bench.identify("ur5", log=small, test=other, estimator="wls")
     assert result.get("failure") == result.warnings[1]
-    alone = sysid_bench.identify("ur5", log=folder / "small.toml")
+    guarded = sysid_bench.identify("ur5", log=small, test=other)
+    assert (guarded.prior_weight or 0) > 0
+    assert guarded.open_directions == result.open_directions
+    assert not guarded.beaten_by
+    alone = sysid_bench.identify("ur5", log=folder / "small.toml", estimator="wls")
     assert alone.get("failure") is None
     assert "open" in alone.warnings[0]
     prior = sysid_bench.identify(

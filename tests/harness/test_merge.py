@@ -154,6 +154,42 @@ def test_a_falsified_row_is_found_and_nothing_written(
     assert not (tmp_path / "merged").exists()
 
 
+@pytest.mark.parametrize(
+    ("share", "condition", "verdict"),
+    [
+        (5e-13, 100.0, "rounded"), (5e-13, 1e8, "rounded"), (5e-8, 1e8, "rounded"),
+        (5e-12, 1e8, "rounded"), (2e-10, 100.0, "contradicting"), (2e-6, 1e8, "contradicting"),
+        (0.0, 100.0, "equal"),
+    ],
+)  # fmt: skip
+def test_rows_of_another_processor_are_equal_up_to_rounding(
+    tmp_path: Path, copy: Copy, share: float, condition: float, verdict: str
+) -> None:
+    """Relative differences up to 1e-12, or 1e-15 of the condition number; counts are equal."""
+    parts = [copy(name) for name in ("one", "two")]
+    cell = next(iter(rows(parts[0])))
+    tables = {"joints": [{"name": "j", "rmse": 3.0}], "iterations": 7}
+    falsify(parts[0], cell, torque_error=0.25, condition=condition, **tables)
+    table = {"joints": [{"name": "j", "rmse": 3.0 * (1 - share)}], "iterations": 7}
+    falsify(parts[1], cell, torque_error=0.25 * (1 + share), condition=condition, **table)
+    result = merge(parts, tmp_path / "merged")
+    found = "contradicting" if result.contradictions else "rounded" if result.rounded else "equal"
+    assert found == verdict
+    assert result.twice == 56 - (verdict == "contradicting")
+    assert (tmp_path / "merged").exists() == (verdict != "contradicting")
+
+
+def test_exact_errors_differ_by_rounding_and_counts_by_nothing(tmp_path: Path, copy: Copy) -> None:
+    parts = [copy(name) for name in ("one", "two")]
+    first, second, *_ = rows(parts[0])
+    for number, folder in enumerate(parts):
+        falsify(folder, first, gap=(number + 1) * 3e-16, torque_error=(4 - number) * 1e-12)
+    assert merge(parts, tmp_path / "merged").rounded == 1
+    for number, folder in enumerate(parts):
+        falsify(folder, second, iterations=number + 7)
+    assert merge(parts, tmp_path / "other").contradictions == (second,)
+
+
 @pytest.mark.parametrize("place", range(4))
 def test_a_row_that_was_changed_is_found_where_no_other_run_has_it(
     tmp_path: Path, copy: Copy, place: int

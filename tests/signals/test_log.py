@@ -261,6 +261,46 @@ def test_a_line_that_broke_off_is_reported_a_wrong_one_refused(
         world.read_file(path)
 
 
+@pytest.mark.parametrize("quote", ['"', ""])
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_lists_in_cells_are_arrays_and_words_are_skipped(
+    world: World, quote: str, delimiter: str, log: Recorded, tmp_path: Path
+) -> None:
+    def cell(x: np.ndarray) -> str:
+        return f"{quote}{x.tolist()}{quote}"
+
+    lines = [delimiter.join(["type", "stamp", "positions", "velocities", "torques"])]
+    for t, *signals in zip(log.t, log.q, log.v, log.tau, strict=True):
+        lines.append(delimiter.join(["STATE", str(t * 1e6), *map(cell, signals)]))
+    text = "\n".join(lines)
+    (tmp_path / "run.csv").write_text(text)
+    names = {"q": "positions", "v": "velocities", "tau": "torques"}
+    parts: dict[str, Any] = {s: {"columns": name} for s, name in names.items()}
+    time = {"column": "stamp", "unit": "us"}
+    path = world.write(log, name="lists", file="run.csv", rate=None, time=time, **parts)
+    world.same(world.read_file(path), log)
+    (tmp_path / "run.csv").write_text(text[:-30])  # inside of the last list
+    assert found(world.read_file(path)) == {"non-finite": 1}
+    lines[41] = lines[41].replace("[", "[x", 1)
+    (tmp_path / "run.csv").write_text("\n".join(lines))
+    with pytest.raises(UsageError, match=r"line 42, column 3: 'x.*' is not a number"):
+        world.read_file(path)
+
+
+@pytest.mark.parametrize("kept", range(5))
+def test_a_number_that_broke_off_costs_its_line(
+    world: World, kept: int, log: Recorded, tmp_path: Path
+) -> None:
+    columns = np.column_stack([log.t, log.q, log.v, log.tau])
+    path = world.write(log, "csv bare")
+    np.savetxt(tmp_path / "run.csv", columns, delimiter=",", fmt="%.6f")
+    text = (tmp_path / "run.csv").read_text()
+    (tmp_path / "run.csv").write_text(text[: len(text) - 7 + kept])
+    got = world.read_file(path)
+    assert found(got)["non-finite"] == 1
+    assert got.samples == len(log.t) - 1
+
+
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"rate": None}, "neither rate nor time"),
     ({"rate": "-3 Hz"}, "positive"),

@@ -219,12 +219,51 @@ def test_wrong_presets_and_patterns_are_refused(world: World, log: Recorded) -> 
     with pytest.raises(UsageError, match="'ur-rtde'"):
         world.read(log, preset="ur-rtd")
     for pattern, reported in {
-        "q_(": "one group of digits",
-        "q_.*": "one group of digits",
+        "q_(": "not a regular expression",
+        "(q)?.*": "not a regular expression",
+        ".*": "must name each of the joints",
+        "q_s.*": "must name each of the joints",
         r"x(\d+)": "no column matches",
     }.items():
         with pytest.raises(UsageError, match=reported):
             world.read(log, q={"columns": [], "match": pattern})
+
+
+def test_a_pattern_of_names_follows_the_joints(world: World, log: Recorded, tmp_path: Path) -> None:
+    world.write(log)
+    frame = pd.read_csv(tmp_path / "run.csv")
+    frame[frame.columns[::-1]].to_csv(tmp_path / "turned.csv", index=False)
+    for pattern in ("{}_.*", "{}_(.*)"):
+        match: dict[str, Any] = {
+            s: {"columns": [], "match": pattern.format(s)} for s in ("q", "v", "tau")
+        }
+        world.same(world.read(log, **match, file="turned.csv"), log)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.0013])
+def test_signals_with_clocks_of_their_own(
+    world: World, shift: float, log: Recorded, tmp_path: Path
+) -> None:
+    for n, (name, x) in enumerate({"q": log.q, "v": log.v, "tau": log.tau}.items()):
+        # Files end at other rows, and the clocks of the others run beside that of q.
+        t = log.t + n * shift
+        np.savetxt(tmp_path / f"{name}.csv", np.column_stack([t, x])[: len(t) - 7 * n], fmt="%.17g")
+    columns = list(range(2, 2 + len(log.joints)))
+    parts: dict[str, Any] = {
+        s: {"file": f"{s}.csv", "columns": columns, "time": 1} for s in ("q", "v", "tau")
+    }
+    got = world.read_file(write(tmp_path, log, file=None, rate=None, **parts))
+    assert found(got)["joined"] == 2
+    assert {file.name for file in got.description.files} == {"q.csv", "v.csv", "tau.csv"}
+    count = len(got.recording)
+    assert abs(count - (len(log.t) - 14)) <= 1  # tau ends first
+    wanted = np.stack([np.interp(log.t, log.t + 2 * shift, x) for x in log.tau.T], axis=1)
+    difference = got.recording.tau - wanted[:count]
+    assert np.abs(difference[3:-3]).max() < 1e-9 * np.abs(wanted).max()
+    parts["tau"]["time"] = {"column": 1, "file": "v.csv"}
+    path = write(tmp_path, log, file=None, rate=None, **parts)
+    with pytest.raises(UsageError, match="check time of this signal"):
+        world.read_file(path)
 
 
 # --- Numbers in memory ---------------------------------------------------------------------------

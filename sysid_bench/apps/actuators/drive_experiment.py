@@ -113,6 +113,7 @@ def drive_problem(rows: DriveRows, delay: float, kinds: tuple[str, ...]) -> Prob
         samples=len(tau),
         kinds=kinds,
         torque=np.sqrt(np.mean((tau + rows.links) ** 2, axis=0)),
+        mean=np.mean(tau + rows.links, axis=0),
     )
 
 

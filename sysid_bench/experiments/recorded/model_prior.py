@@ -87,6 +87,15 @@ def model_prior(
     return ModelPrior(prior, text=f"{words}joint terms {terms}")
 
 
+def file_theta(unknowns: Unknowns, problem: Problem) -> Array:
+    """Return the values (p,) of the model file, plausible or not; zero for a load, which it
+    lacks."""
+    robot = unknowns.robot
+    values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
+    values |= dict(zip(unknowns.terms, unknowns.term_values, strict=True))
+    return np.array([values.get(name, 0.0) for name in problem.parameters])
+
+
 def _links(
     unknowns: Unknowns, problem: Problem, stated: Mapping[str, float]
 ) -> tuple[Array, Array]:

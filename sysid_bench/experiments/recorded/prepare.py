@@ -12,7 +12,7 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.recorded.left_out_parts import TermSelection, select_terms
-from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
+from sysid_bench.experiments.recorded.model_prior import MODEL, file_theta, model_prior
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
 from sysid_bench.experiments.recorded.process_log import (
     LogProcessing,
@@ -20,7 +20,7 @@ from sysid_bench.experiments.recorded.process_log import (
     lock_manifest,
     process_log,
 )
-from sysid_bench.experiments.recorded.source import RecordedSource
+from sysid_bench.experiments.recorded.source import RecordedSource, floor_error
 from sysid_bench.experiments.recorded.unknowns import Unknowns, check_wrench, unknowns_of
 from sysid_bench.experiments.simulated.problem import SimulatedModel
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -176,6 +176,7 @@ def build_problems(
     base = unknowns.base()
     builder = LogProblemBuilder(unknowns, base.names, preprocessing)
     built = builder.build(training, base)
+    built = replace(built, file=file_theta(unknowns, built))
     prior = model_prior(options.prior, unknowns, built, training)
     problem = prior.apply(built)
     if options.feasible == BODIES_ALONE:
@@ -194,7 +195,10 @@ def build_problems(
         name: builder.build([replace(test, rows=MOVING)], base) for name, test in tests.items()
     }
     experiment = _experiment(problem, builder, training[0])
-    return ExperimentData(unknowns.robot, problem, experiment, held_out, source, moving)
+    return ExperimentData(
+        unknowns.robot, problem, experiment, held_out, source, moving,
+        floor=floor_error(training, tests, held_out),
+    )  # fmt: skip
 
 
 def _unknowns(

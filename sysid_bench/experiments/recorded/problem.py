@@ -65,12 +65,14 @@ class LogProblemBuilder:
         factors: Sequence[Factor],
         base: BaseMap,
     ) -> Problem:
-        squares = []  # of the measured torque of each joint, known parts included
+        squares, means = [], []  # of the measured torque of each joint, known parts included
         measured = [self._row_signals(log) for log in logs]
         for i in range(len(self.unknowns.rows)):
             parts = [one.row_values(i, x[:, i]) for x, one in zip(measured, along, strict=True)]
             count = sum(one.count(i) for one in along)
-            squares.append(float((np.concatenate(parts) ** 2).sum()) / max(count, 1))
+            values = np.concatenate(parts)
+            squares.append(float((values**2).sum()) / max(count, 1))
+            means.append(float(values.sum()) / max(count, 1))
         return Problem(
             parameters=self.unknowns.parameters,
             base=base,
@@ -82,6 +84,7 @@ class LogProblemBuilder:
             samples=sum(one.samples for one in along),
             kinds=self.unknowns.kinds,
             torque=np.sqrt(squares),
+            mean=np.array(means),
         )
 
     def regression(self, log: ProcessedLog) -> tuple[MeasuredRegressor, Array]:

@@ -9,10 +9,12 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.score import base_parameters, data_figures, score_recorded
+from sysid_bench.evaluation.torque_errors import known_rms, loaded_joints, row_rms
 from sysid_bench.excitation.limit_margins import Margins, limit_fields, limit_margins
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.left_out_parts import TermSelection, payload_mass
+from sysid_bench.experiments.recorded.left_out_parts import TermSelection
 from sysid_bench.experiments.recorded.model_prior import ModelPrior
+from sysid_bench.experiments.recorded.payload import payload_mass
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_torque
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.identifiability.base_expressions import (
@@ -42,6 +44,24 @@ def repetition_error(
     errors = np.linalg.norm(repeated - measured, axis=0)
     sizes = np.linalg.norm(measured, axis=0)
     return {row: float(e / s) for row, e, s in zip(rows, errors, sizes, strict=True) if s > 0}
+
+
+def floor_error(
+    training: Sequence[ProcessedLog],
+    tests: Mapping[str, ProcessedLog],
+    held_out: Mapping[str, Problem],
+) -> float | None:
+    """Return the `torque_error` of the training torque, played again, on those tests that repeat
+    its motion; None where none does."""
+    errors = []
+    for name, test in tests.items():
+        rows = held_out[name].rows
+        shares = repetition_error(training, test, rows)
+        if shares is not None:
+            loaded = loaded_joints(row_rms([held_out[name]]), held_out[name].kinds)
+            judged = [x for row, x in shares.items() if loaded[rows.index(row)]]
+            errors.append(known_rms(judged))
+    return known_rms(errors)
 
 
 def repetition_torque(

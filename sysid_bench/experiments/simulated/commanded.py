@@ -8,11 +8,10 @@ seed and the code alone. Cells that agree in these share it, within a worker and
 
 import hashlib
 import io
-import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from functools import cache, singledispatch
+from functools import singledispatch
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +24,7 @@ from sysid_bench.excitation.motion_check import check_motion
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.spec import checks_limits, without_limits
 from sysid_bench.input_files import read_data
+from sysid_bench.package_folders import cache_folder
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.version_fields import package_hash
 
@@ -129,17 +129,10 @@ def _(value: Mapping[str, Any]) -> Iterator[bytes]:
         yield from _typed([key, value[key]])
 
 
-@cache
-def _folder() -> Path:
-    named = os.environ.get("SYSID_BENCH_CACHE")
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(named) if named else Path(home) / "sysid_bench"
-
-
 def _read_design(key: str) -> Array | None:
     """Return stored coefficients, None where they are absent or damaged."""
     try:
-        content = read_data(_folder() / f"{key}.design")
+        content = read_data(cache_folder() / f"{key}.design")
         checksum, array = content[:_CHECKSUM], content[_CHECKSUM:]
         if hashlib.sha256(array).digest() != checksum:
             return None
@@ -151,14 +144,14 @@ def _read_design(key: str) -> Array | None:
 def _write_design(key: str, C: Array) -> Array:
     """Store coefficients and return them. An unwritable folder costs the next worker a design."""
     try:
-        _folder().mkdir(parents=True, exist_ok=True)
+        cache_folder().mkdir(parents=True, exist_ok=True)
         # Renaming is atomic: no worker reads half a file.
         array = io.BytesIO()
         np.save(array, C)
         content = hashlib.sha256(array.getvalue()).digest() + array.getvalue()
-        with tempfile.NamedTemporaryFile(dir=_folder(), suffix=".part", delete=False) as part:
+        with tempfile.NamedTemporaryFile(dir=cache_folder(), suffix=".part", delete=False) as part:
             part.write(content)
-        Path(part.name).replace(_folder() / f"{key}.design")
+        Path(part.name).replace(cache_folder() / f"{key}.design")
     except OSError:
         pass
     return C

@@ -91,6 +91,7 @@ class ProblemBuilder:
             kinds=tuple(self.instruments.kinds[i] for i in self.row_indices),
             # With the known parts, which b lacks: relative errors are those of the whole torque.
             torque=np.sqrt((measured[:, self.row_indices] ** 2).mean(axis=0)),
+            mean=measured[:, self.row_indices].mean(axis=0),
             period=motion.period_samples,
         )
         if rows is None or not rows.is_processed:
@@ -103,6 +104,7 @@ class ProblemBuilder:
             blocks=processed.blocks,
             samples=rows.samples,
             torque=rows.rms(measured[:, self.row_indices]),
+            mean=rows.mean(measured[:, self.row_indices]),
             period=rows.period(motion),
         )
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeVar
 
@@ -10,17 +10,19 @@ from sysid_bench.errors import UsageError, first_names, unknown_name
 from sysid_bench.harness.comparison.run_difference import (
     ROUNDING_SHARE,
     STATUS,
-    Change,
     RunDifference,
 )
 from sysid_bench.harness.comparison.run_values import CellValues, RunValues, Tolerance, tolerance_of
 from sysid_bench.harness.comparison.speed import ALL, Key, Speed
 from sysid_bench.input_files import parse_json
 from sysid_bench.metrics import METRICS, metric_from_record, metric_record
+from sysid_bench.models.behaviour_change import Behaviour, BehaviourChange
 
 SCHEMA: Final = 1
 _DIGITS: Final = 7
-"""Digits of a value: a hundredth of the closest tolerance, 1e-5 of a default one."""
+"""Digits of a true parameter, and of values in baselines of before."""
+EXACT_DIGITS: Final = 13
+"""Digits of a value: `gate --exact` sees relative differences of 1e-12."""
 _REASON: Final = 120
 _KEYS: Final = ("schema", "suite", "origin", "axes", "metrics", "tolerances", "robots")
 _LIKE: Final = "like"
@@ -31,13 +33,19 @@ _Value = TypeVar("_Value")
 
 @dataclass(frozen=True)
 class Baseline:
-    """Values that a later run is compared with, and the tolerance of each metric."""
+    """Values that a later run is compared with, with their digits, and the tolerance of each
+    metric."""
 
     run: RunValues
     tolerances: Mapping[str, Tolerance]
+    digits: int = EXACT_DIGITS
 
 
-def baseline_of(run: RunValues, tolerances: Mapping[str, Tolerance] | None = None) -> Baseline:
+def baseline_of(
+    run: RunValues,
+    tolerances: Mapping[str, Tolerance] | None = None,
+    digits: int = EXACT_DIGITS,
+) -> Baseline:
     """The baseline of a run; `tolerances` replace default ones. Raises UsageError for a tolerance
     of a metric that is not compared, and for a run without any row."""
     given = dict(tolerances or {})
@@ -50,7 +58,7 @@ def baseline_of(run: RunValues, tolerances: Mapping[str, Tolerance] | None = Non
     if all(cell.is_open for cell in run.cells.values()):
         raise UsageError(f"The run {run.name!r} has no row yet; run it, then save its baseline.")
     default = {name: tolerance_of(metric) for name, metric in run.metrics.items()}
-    return Baseline(run, default | given)
+    return Baseline(run, default | given, digits)
 
 
 def to_text(baseline: Baseline) -> str:
@@ -61,6 +69,7 @@ def to_text(baseline: Baseline) -> str:
         "schema": SCHEMA,
         "suite": run.name,
         "origin": {key: run.origin[key] for key in _ORIGIN if key in run.origin},
+        "digits": baseline.digits,
         "axes": list(run.axes),
         "metrics": [
             name if name in METRICS else metric_record(metric)
@@ -88,6 +97,8 @@ def _robot_text(baseline: Baseline, robot: str) -> str:
         "parameters": _like_the_first(parameters),
         "cells": {key: _cell_json(baseline, run.cells[key]) for _, key in sorted(cells)},
     }
+    if robot in run.models:
+        parts["model"] = run.models[robot]
     if speeds := dict(_of_robot(run.speeds, robot)):
         parts["speeds"] = {
             part: [_short(speed.ratio, 3), _short(speed.noise, 2), speed.count]
@@ -128,7 +139,7 @@ def _cell_json(baseline: Baseline, cell: CellValues) -> list[Any]:
     for name, value in zip(baseline.run.metrics, cell.values, strict=True):
         tolerance = baseline.tolerances[name]
         # A difference needs all digits of a large value.
-        digits = 17 if tolerance.kind == "absolute" else _DIGITS
+        digits = 17 if tolerance.kind == "absolute" else baseline.digits
         shown.append(None if value is None else _short(tolerance.stored_value(value), digits))
     return shown
 
@@ -179,7 +190,7 @@ def _baseline(text: str) -> Baseline:
             tolerances[metric] = Tolerance.from_json(written)
         except UsageError as error:
             raise UsageError(f"tolerance of {metric}: {error}") from error
-    return baseline_of(_run(values), tolerances)
+    return baseline_of(_run(values), tolerances, int(values.get("digits", _DIGITS)))
 
 
 def _run(values: Mapping[str, Any]) -> RunValues:
@@ -213,7 +224,17 @@ def _run(values: Mapping[str, Any]) -> RunValues:
         parameters=parameters,
         origin=dict(values["origin"]),
         speeds=speeds,
+        models={robot: _model(block["model"]) for robot, block in robots if "model" in block},
     )
+
+
+def _model(written: Any) -> Behaviour:
+    """The behaviour of a robot; raises ValueError for anything else."""
+    quantities = [*written.items(), *(pair for joint in written.values() for pair in joint.items())]
+    lists = [value for _, value in quantities if not isinstance(value, Mapping)]
+    if not all(isinstance(values, list) for values in lists):
+        raise ValueError("a model is joints with lists of values")
+    return {joint: dict(found) for joint, found in written.items()}
 
 
 def _cells(robot: str, block: Mapping[str, Any], count: int) -> Iterator[tuple[str, CellValues]]:
@@ -230,44 +251,83 @@ def _cells(robot: str, block: Mapping[str, Any], count: int) -> Iterator[tuple[s
 
 @dataclass(frozen=True)
 class Update:
-    """Values of a baseline after an update, and the number of changes that it took over."""
+    """Values of a baseline after an update, and how many changes of each kind it took over."""
 
     run: RunValues
-    taken: int
+    counts: Mapping[str, int]
+
+    @property
+    def taken(self) -> int:
+        """Number of all changes."""
+        return sum(self.counts.values())
 
 
 def update_of(changes: RunDifference) -> Update:
     """The baseline `changes.before` with all changes: of statuses, values and base parameters,
-    cells and settings that appeared or ran for the first time, cells that vanished, and the times
-    of robots in which a part became slower or faster, or whose cells or parts are other ones. Cells
-    without a row stay. Versions and machine are those of the run where anything is taken over."""
+    values of a metric that drifts, behaviour of robots, cells and settings that appeared or ran for
+    the first time, cells that vanished, and the times of robots in which a part became slower or
+    faster, or whose cells or parts are other ones. Cells without a row stay. Versions and machine
+    are those of the run where anything is taken over."""
     old, now = changes.before, changes.after
     done = {name for name, cell in now.cells.items() if not cell.is_open}
     ran = [name for name, was in old.cells.items() if was.is_open and name in done]
     settings = [key for key in now.parameters if key not in old.parameters]
     speeds, timed = _updated_speeds(changes)
-    listed = (changes.cells, changes.parameters, changes.appeared, changes.vanished, ran, settings)
-    taken = sum(map(len, listed)) + timed
+    robots = {cell.robot for cell in now.cells.values()}
+    models = {robot: model for robot, model in old.models.items() if robot in robots}
+    new = [robot for robot in now.models if robot not in models]
+    counts = {
+        "values and statuses": len(changes.cells),
+        "values of drifting metrics": sum(len(drift.cells) for drift in changes.drifts),
+        "base parameters": len(changes.parameters),
+        "quantities of robots": len(changes.models),
+        "new cells": len(changes.appeared) + len(ran),
+        "vanished cells": len(changes.vanished),
+        "new settings and robots": len(settings) + len(new),
+        "times": timed,
+    }
     run = replace(
         old,
         axes=now.axes,
         cells=_updated_cells(changes, {*changes.appeared, *ran}),
         parameters=_parameters(changes),
-        origin=now.origin if taken else old.origin,
+        origin=now.origin if any(counts.values()) else old.origin,
         speeds=speeds,
+        models=_updated_models({**now.models, **models}, changes.models),
     )
-    return Update(run, taken)
+    return Update(run, {what: count for what, count in counts.items() if count})
+
+
+def _updated_models(
+    models: Mapping[str, Behaviour], changes: Iterable[BehaviourChange]
+) -> dict[str, Behaviour]:
+    """The behaviour of robots with what changed; quantities that are the same stay."""
+    found = {
+        robot: {joint: dict(quantities) for joint, quantities in model.items()}
+        for robot, model in models.items()
+    }
+    for change in changes:
+        model = found[change.robot]
+        if change.after is None:
+            del model[change.joint][change.quantity]
+        else:
+            model.setdefault(change.joint, {})[change.quantity] = change.after
+    # A joint without any quantity is gone.
+    return {robot: {j: q for j, q in model.items() if q} for robot, model in found.items()}
 
 
 def _updated_cells(changes: RunDifference, new: set[str]) -> dict[str, CellValues]:
     """The cells of the run with the values of before, but for those that changed."""
-    by_cell: dict[str, list[Change]] = {}
+    by_cell: dict[str, set[str]] = {}
     for change in changes.cells:
-        by_cell.setdefault(change.cell, []).append(change)
+        by_cell.setdefault(change.cell, set()).add(change.metric)
+    for drift in changes.drifts:
+        for cell in drift.cells:
+            by_cell.setdefault(cell, set()).add(drift.metric)
     cells = {}
     for cell, now in changes.after.cells.items():
         # Values within their tolerance stay, or baselines would drift with each update.
-        changed = {change.metric for change in by_cell.get(cell, ())}
+        changed = by_cell.get(cell, set())
         if cell in new or STATUS in changed:
             cells[cell] = now
             continue

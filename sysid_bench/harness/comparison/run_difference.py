@@ -2,6 +2,7 @@
 
 from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain, product, starmap
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -14,6 +15,7 @@ from sysid_bench.evaluation.robot_statistic import (
     rank_test_p,
     verdict,
 )
+from sysid_bench.harness.comparison.drift import Drift, find_drift
 from sysid_bench.harness.comparison.run_values import (
     RunValues,
     Tolerance,
@@ -23,6 +25,7 @@ from sysid_bench.harness.comparison.run_values import (
     verdict_of,
 )
 from sysid_bench.harness.comparison.speed import SpeedChange, compare_speed
+from sysid_bench.models.behaviour_change import BehaviourChange, behaviour_changes
 from sysid_bench.types import Metric
 from sysid_bench.words import MACHINE_FIELDS
 
@@ -69,7 +72,8 @@ class RunDifference:
 
     `appeared`, `vanished`, `open`: ids of cells that only one of them has, or that have a row only
     before. `origin`: (what, before, after) of code, libraries and machine. `speeds`: changes of
-    speed, where both have speeds.
+    speed, where both have speeds. `models`: changed behaviour of robots; `drifts`: metrics whose
+    cells move together within their tolerance.
     """
 
     before: RunValues
@@ -81,6 +85,21 @@ class RunDifference:
     open: tuple[str, ...]
     origin: tuple[tuple[str, str, str], ...]
     speeds: tuple[SpeedChange, ...] = ()
+    models: tuple[BehaviourChange, ...] = ()
+    drifts: tuple[Drift, ...] = ()
+
+    @property
+    def failed_drifts(self) -> tuple[Drift, ...]:
+        """Metrics that became worse in common."""
+        return tuple(drift for drift in self.drifts if drift.verdict == "worse")
+
+    @property
+    def without_model(self) -> tuple[str, ...]:
+        """Robots of both runs whose behaviour is not known in both."""
+        runs = (self.before, self.after)
+        robots = ({cell.robot for cell in run.cells.values()} for run in runs)
+        known = self.before.models.keys() & self.after.models.keys()
+        return tuple(sorted(set.intersection(*robots) - known))
 
     @property
     def without_time(self) -> tuple[str, ...]:
@@ -101,7 +120,7 @@ class RunDifference:
     def is_failed(self) -> bool:
         """True where a gate fails."""
         wrong = (self.failed_cells, self.parameters, self.vanished, self.open, self.failed_speed)
-        return any(wrong)
+        return any((*wrong, self.models, self.failed_drifts))
 
 
 def find_difference(
@@ -119,6 +138,8 @@ def find_difference(
     ran = [cell for cell in both if not after.cells[cell].is_open]
     # Speeds are undecided for robots that have not the same cells in both runs.
     robots = {robot for robot, _ in before.speeds}
+    known = before.models.keys() & after.models.keys()
+    pairs = ((robot, before.models[robot], after.models[robot]) for robot in sorted(known))
     differing = {robot for robot in robots if before.cell_labels(robot) != after.cell_labels(robot)}
     return RunDifference(
         before=before,
@@ -130,7 +151,20 @@ def find_difference(
         open=() if partial else tuple(sorted({*both} - {*ran})),
         origin=tuple(_origin_changes(before, after)),
         speeds=tuple(compare_speed(before.speeds, after.speeds, differing)),
+        models=tuple(chain.from_iterable(starmap(behaviour_changes, pairs))),
+        drifts=find_drift(before, after, ran, _tolerances(before, after, tolerances or {})),
     )
+
+
+def _tolerances(
+    before: RunValues, after: RunValues, given: Mapping[str, Tolerance]
+) -> dict[str, Tolerance]:
+    """Return the tolerance of each metric that both runs have and no machine changes."""
+    return {
+        name: given.get(name) or tolerance_of(after.metrics[name])
+        for name in before.metrics
+        if name in after.metrics and name not in MACHINE_FIELDS  # those differ in any run
+    }
 
 
 def _missing(names: Iterable[_Name], there: Container[_Name]) -> tuple[_Name, ...]:
@@ -142,12 +176,10 @@ def _cell_changes(
     before: RunValues, after: RunValues, cells: list[str], tolerances: Mapping[str, Tolerance]
 ) -> Iterator[Change]:
     """Yield the changes of status and, where it is the same, of each metric that both have."""
-    compared = []
-    for name in before.metrics:
-        if name in after.metrics and name not in MACHINE_FIELDS:  # those differ in any run
-            metric = after.metrics[name]
-            tolerance = tolerances.get(name) or tolerance_of(metric)
-            compared.append((metric, tolerance, *_places(name, before, after)))
+    compared = [
+        (after.metrics[name], tolerance, *_places(name, before, after))
+        for name, tolerance in _tolerances(before, after, tolerances).items()
+    ]
     for cell in cells:
         was, now = before.cells[cell], after.cells[cell]
         if was.status != now.status:
@@ -161,6 +193,28 @@ def _cell_changes(
             verdict = verdict_of(metric.better, tolerance, *pair)
             if verdict != "same":
                 yield Change(cell, metric.name, *pair, verdict, str(tolerance))
+
+
+_EXACT: Final = 1e-12
+"""Relative difference of two values that are the same number: one digit above the rounding of a
+double, so that the last bits of other kernels stay unmentioned."""
+
+
+def moved_values(
+    before: RunValues, after: RunValues, tolerances: Mapping[str, Tolerance]
+) -> tuple[Change, ...]:
+    """Return the values that are another number, whatever their tolerance: what changes in the last
+    digits while code and libraries are the same. Below the floor of its tolerance a value is 0."""
+    known = _tolerances(before, after, tolerances)
+    moved = []
+    for cell, name in product(before.cells.keys() & after.cells.keys(), known):
+        old, new = _places(name, before, after)
+        pair = before.cells[cell].values[old], after.cells[cell].values[new]
+        if None not in pair:
+            a, b = (known[name].stored_value(float(value or 0.0)) for value in pair)
+            if not (a == b or abs(a - b) <= _EXACT * max(abs(a), abs(b))):
+                moved.append(Change(cell, name, *pair, "changed", f"{_EXACT:g}"))
+    return tuple(sorted(moved, key=lambda change: (before.label(change.cell), change.metric)))
 
 
 def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[ParameterChange]:

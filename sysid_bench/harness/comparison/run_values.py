@@ -12,6 +12,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.comparison.speed import EXPERIMENT, KERNEL, Key, Speed, relative_speed
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.metrics import METRICS, metric_from_record, names_of
+from sysid_bench.models.behaviour_change import Behaviour
 from sysid_bench.types import Better, Metric, Row
 from sysid_bench.words import LABELS
 
@@ -60,7 +61,7 @@ class RunValues:
 
     `parameters`: true base parameters in SI units, (robot, setting) -> parameter -> value.
     `origin`: what env.json says of code, libraries and machine. `speeds`: ratios of times within
-    the run, where they were asked for.
+    the run, where they were asked for. `models`: behaviour of each robot, where it is known.
     """
 
     name: str
@@ -70,6 +71,7 @@ class RunValues:
     parameters: Mapping[tuple[str, str], Mapping[str, float]]
     origin: Mapping[str, Any]
     speeds: Mapping[Key, Speed] = field(default_factory=dict)
+    models: Mapping[str, Behaviour] = field(default_factory=dict)
 
     def cell_labels(self, robot: str) -> set[tuple[str, ...]]:
         """Labels but the repeat of the ok cells of a robot: groups that its speeds are of."""
@@ -111,6 +113,7 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
         parameters=_true_parameters(folder, cells),
         origin=folder.environment,
         speeds=_speeds(folder, planned) if times else {},
+        models={robot: record["behaviour"] for robot, record in folder.models.items()},
     )
 
 

@@ -17,6 +17,7 @@ from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.input_files import read_data
 from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.model_record import ModelRecord, model_record
 from sysid_bench.models.payload import Payload, parse_payload
 
 if TYPE_CHECKING:
@@ -45,7 +46,8 @@ class Names:
 
     `robot(source, folder)`, `payload(name or table)`, `plugin(kind, {use, settings})`, which builds
     the object and so checks its settings (a metric is returned, or its record), `sensor(source,
-    folder, text)`, which cuts the robot at each of the named sensors, and `task(name, folder)`.
+    folder, text)`, which cuts the robot at each of the named sensors, `task(name, folder)`, and
+    `model(source, folder, free_base)`: hash and behaviour of a robot that is here.
     """
 
     robot: Callable[[str, Path | None], Manifest | CheckedName]
@@ -53,6 +55,9 @@ class Names:
     plugin: Callable[[str, Mapping[str, Any]], object]
     sensor: Callable[[str, Path | None, str], object] = lambda source, folder, text: None
     task: "Callable[[str, Path | None], TaskDefinition | CheckedName]" = _task
+    model: Callable[[str, Path | None, bool | None], ModelRecord | None] = (
+        lambda source, folder, free_base: None
+    )
     frozen: bool = False  # nothing is looked up: the suite was checked before
 
 
@@ -75,7 +80,10 @@ def default_names(robots_dir: Path | None = None) -> Names:
         loaded = load_robot(manifest)
         return [subtree_at(loaded, name, ()) for name in names]
 
-    return Names(robot, parse_payload, plugin_names.build, sensor)
+    def model(source: str, folder: Path | None, free_base: bool | None) -> ModelRecord | None:
+        return model_record(source, robots_dir, folder, free_base)
+
+    return Names(robot, parse_payload, plugin_names.build, sensor, model=model)
 
 
 def no_names() -> Names:

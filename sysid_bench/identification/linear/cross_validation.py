@@ -146,13 +146,16 @@ def with_weight(
     return replace(estimate, stats={**estimate.stats, "weight": chosen, **numbers})
 
 
-def held_out_errors(fit: Fit, problem: Problem, grid: tuple[float, ...]) -> list[float]:
+def held_out_errors(
+    fit: Fit, problem: Problem, grid: tuple[float, ...], sigma: Array | None = None
+) -> list[float]:
     """Return the error of each weight on the blocks that it was not fitted to: mean square of
-    residuals over the noise of their row; infinite where a fit fails or its error is not finite.
-    Raises EstimationError where all are infinite."""
+    residuals over `sigma` of their row (rows,; None: its noise); infinite where a fit fails or its
+    error is not finite. Raises EstimationError where all are infinite."""
     blocks = time_blocks(problem, FOLDS)
-    # One measure of all weights: the noise of the whole motion, as feasible fits bound it.
-    sigma = np.maximum(row_noise(problem), NOISE * torque_rms(problem))
+    if sigma is None:
+        # One measure of all weights: the noise of the whole motion, as feasible fits bound it.
+        sigma = np.maximum(row_noise(problem), NOISE * torque_rms(problem))
     sigma = np.where(sigma > 0, sigma, 1.0)
     folds = [(blocks.without(label), blocks.part(label)) for label in range(FOLDS)]
     total = max(sum(factor.samples for factor in problem.factors), 1)

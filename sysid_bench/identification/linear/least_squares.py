@@ -96,6 +96,28 @@ def data_rank(R: Array) -> int:
     return int((values > EXCITED * values[0]).sum())
 
 
+def direction_deviations(problem: Problem) -> tuple[Array, Array]:
+    """Deviation (r,) that noise leaves to each direction Vt (r, r) of the base parameters with
+    columns of unit length, relative to the whole answer; infinite without excitation.
+
+    The torque b of N samples is U S V' x + e. White residuals of the least-squares fit leave v_i' x
+    a deviation of |e| / (sqrt(N) s_i); the torque along the best excited direction is that of |x| =
+    |b| / s_1. Residuals of real data are correlated, which makes this lenient.
+    """
+    r = problem.base.rank
+    stacked = stacked_factor(problem)
+    R, b = stacked[:r, :r], stacked[:, r]
+    norms = np.linalg.norm(R, axis=0)
+    if not norms.any():
+        return np.full(r, np.inf), np.eye(r)
+    _, s, Vt = np.linalg.svd(R / np.where(norms > 0, norms, 1.0))
+    # |e| / (sqrt(N) |b|) of the fit: the last entry of Q'b is the norm of the residual.
+    torque, count = np.linalg.norm(b), max(problem.samples * len(problem.rows), 1)
+    noise = float(abs(b[-1]) / torque / np.sqrt(count)) if torque > 0 else 0.0
+    excited = s > EXCITED * s[0]
+    return np.where(excited, noise * s[0] / np.where(excited, s, 1.0), np.inf), Vt
+
+
 def residual_norm(problem: Problem, beta: Array) -> Array:
     """|b_i - W_i beta| (rows,) of each row of the robot."""
     return np.array(

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, count, islice
@@ -16,6 +17,7 @@ from sysid_bench.signals.log_library import library_errors, report
 from sysid_bench.signals.log_table import (
     LARGEST_LOG,
     LogTable,
+    array_names,
     check_size,
     column_names,
     columns_with_names,
@@ -41,6 +43,12 @@ _DOUBT: Final = (
     "range. Write unit = 'rad' or unit = 'deg'; percent needs gain = [...] in rad for each"
 )
 
+_LIST: Final = re.compile(r'((?:^|[,;\t])\s*)"?(\[[^\[\]"]*\])"?')
+"""List of numbers that is a whole cell, after what stands before it."""
+
+_COMPARED: Final = 10
+"""Last lines whose decimals are compared."""
+
 _Line = tuple[int, str]
 """Number of a line, from 1, and its text."""
 
@@ -48,7 +56,8 @@ _Line = tuple[int, str]
 @dataclass(frozen=True)
 class DelimitedText:
     """Lines of numbers separated by comma, semicolon, tab or blanks. The last line before the
-    numbers, a comment too, names the columns where it has as many words."""
+    numbers, a comment too, names the columns where it has as many words. A list of numbers in a
+    cell, [0.1, 0.2], is an array; columns of words are NaN."""
 
     suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".dat", ".tsv")
 
@@ -63,9 +72,15 @@ class DelimitedText:
             lines = _numbered_lines(path, file)
             header, first = _header(path, lines)
             delimiter = _delimiter(first[1])
-            table = _Numbers(path, delimiter, len(_cells(first[1].strip(), delimiter)))
             numbers = (row for row in lines if not row[1].lstrip().startswith(_COMMENTS))
-            rows = chain([first], numbers)
+            start = [first, *islice(numbers, 1)]
+            rows: Iterator[_Line] = chain(start, numbers)
+            plain = not any(map(_is_text, _cells(first[1], delimiter)))
+            widths = [1] * len(_cells(first[1], delimiter))
+            if not plain:
+                widths, texts = _array_columns(start, delimiter)
+                rows = ((n, _flat(line, delimiter, texts)) for n, line in rows)
+            table = _Numbers(path, delimiter if plain else ",", sum(widths))
             part = list(islice(rows, _PART))
             while part:
                 following = list(islice(rows, _PART))
@@ -74,7 +89,11 @@ class DelimitedText:
                 part = following
         words = _cells(header, _delimiter(header) or delimiter)
         # A title or a list of settings above the numbers has another number of words.
-        names = column_names(path, words) if len(words) == table.width else {}
+        names = column_names(path, words) if len(words) == len(widths) else {}
+        if not plain:
+            ends = np.cumsum([0, *widths])
+            at = {name: range(ends[i], ends[i + 1]) for name, (i,) in names.items()}
+            names = {k: v for name, part in at.items() for k, v in array_names(name, part).items()}
         return LogTable(path, table.values[: table.count], names, table.truncated)
 
 
@@ -96,7 +115,8 @@ def _header(path: Path, lines: Iterator[_Line]) -> tuple[str, _Line]:
     for number, line in lines:
         bare = line.strip()
         mark = next((mark for mark in _COMMENTS if bare.startswith(mark)), "")
-        if not mark and any(map(_is_number, _cells(bare, _delimiter(bare)))):
+        cells = _cells(bare, _delimiter(bare))
+        if not mark and (any(map(_is_number, cells)) or any(_items(cell) for cell in cells)):
             return header, (number, line)
         header = bare.removeprefix(mark).strip()
     raise UsageError(f"{path} holds no line of numbers.")
@@ -112,6 +132,8 @@ class _Numbers:
 
     def add(self, rows: list[_Line], is_last: bool) -> None:
         """Parse a part; raises UsageError naming line and column, or for too many numbers."""
+        if is_last and _is_cut(rows, self._delimiter):
+            rows, self.truncated = rows[:-1], 1
         try:
             part = np.loadtxt([line for _, line in rows], delimiter=self._delimiter, ndmin=2)
         except ValueError:
@@ -131,7 +153,7 @@ class _Numbers:
     def _parsed_by_line(self, rows: list[_Line], is_last: bool) -> Array:
         values: list[list[float]] = []
         for number, line in rows:
-            cells = _cells(line.strip("\r\n"), self._delimiter)
+            cells = _cells(line, self._delimiter)
             wrong = [c for c, cell in enumerate(cells) if cell and not _is_number(cell)]
             if not wrong and len(cells) == self.width:
                 values.append([float(cell or "nan") for cell in cells])
@@ -151,15 +173,55 @@ class _Numbers:
         return np.array(values).reshape(-1, self.width)
 
 
+def _is_cut(rows: Sequence[_Line], delimiter: str | None) -> bool:
+    """Test whether the file ends inside of its last number: without an end of the line, and with
+    fewer decimals than all the others of that column, which have the same number."""
+    if rows[-1][1].endswith(("\n", "\r")) or len(rows) < _COMPARED:
+        return False
+    cells = [_cells(line, delimiter)[-1] for _, line in rows[-_COMPARED:]]
+    *before, last = (len(cell.partition(".")[2]) for cell in cells)
+    return len(set(before)) == 1 and last < before[0]
+
+
 def _delimiter(line: str) -> str | None:
     """Return the first usual delimiter in a line, None for blanks."""
+    line = _LIST.sub(r"\1", line)
     return next((mark for mark in _DELIMITERS if mark in line), None)
 
 
 def _cells(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return line.split()
+    # A list has the delimiter inside it, in quotes or not.
+    line = _LIST.sub(r'\1"\2"', line.strip("\r\n"))
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
+
+
+def _items(cell: str) -> list[str]:
+    """Return the numbers of a list in a cell, [] where it is none."""
+    if not (cell.startswith("[") and cell.endswith("]")):
+        return []
+    return re.split(r"[\s,;]+", cell[1:-1].strip())
+
+
+def _is_text(cell: str) -> bool:
+    return bool(cell) and not _is_number(cell)
+
+
+def _array_columns(
+    start: Sequence[_Line], delimiter: str | None
+) -> tuple[list[int], frozenset[int]]:
+    """Return the width of each column by the first lines, and the columns of words."""
+    rows = [_cells(line, delimiter) for _, line in start]
+    texts = [{c for c, x in enumerate(row) if _is_text(x) and not _items(x)} for row in rows]
+    return [max(len(_items(x)), 1) for x in rows[0]], frozenset(set.intersection(*texts))
+
+
+def _flat(line: str, delimiter: str | None, texts: frozenset[int]) -> str:
+    """Return a line with the numbers of its lists side by side, and nan for words."""
+    cells = enumerate(_cells(line, delimiter))
+    end = "\n" * line.endswith("\n")
+    return ",".join("nan" if c in texts else ",".join(_items(x) or [x]) for c, x in cells) + end
 
 
 def _is_number(cell: str) -> bool:

@@ -1,0 +1,89 @@
+"""What an answer has to be better than: predictions of the test without an identification.
+
+The null model takes the bodies as the model file has them (of a simulated robot: as its prior) and
+fits joint terms alone; trivial are zero torque and the mean torque of the training. The floor is
+what no model of the state can be much better than: the training torque itself, played again.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from sysid_bench.evaluation.torque_errors import RowErrors, mean_torque_error
+from sysid_bench.identification.estimators.bayesian import FileFriction, body_columns, file_values
+from sysid_bench.identification.identify import identify
+from sysid_bench.types import Array, Problem
+
+ZERO_TORQUE: Final = 1.0
+"""Torque error of an answer that predicts no torque at all."""
+
+TIE: Final = 1.05
+"""Ratio of errors up to which an answer is as good as a baseline: errors of one answer on two test
+motions differ by as much (measured on a UR10e)."""
+
+ROUNDING: Final = 1e-9
+"""Torque error that is rounding: the prior may be the exact truth."""
+
+FILE, FILE_FRICTION, ZERO, MEAN = "file", "file-friction", "zero-torque", "mean-torque"
+"""Baselines by name; `file`: values of the model file as they are, where joint terms alone or no
+joint terms are unknown."""
+
+WORDS: Final[Mapping[str, str]] = {
+    FILE: "the values of the model file",
+    FILE_FRICTION: "the model file with fitted friction",
+    ZERO: "zero torque",
+    MEAN: "the mean torque of the training",
+}
+
+
+@dataclass(frozen=True)
+class Baselines:
+    """Errors of predictions on the tests, as `torque_error`; None where there is none. `null` is
+    that of `null_name`."""
+
+    null: float | None = None
+    null_name: str = FILE_FRICTION
+    mean: float | None = None
+    floor: float | None = None
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Fields of a row."""
+        return {
+            "torque_error_null": self.null,
+            "torque_error_mean": self.mean,
+            "torque_error_floor": self.floor,
+        }
+
+    def beaten_by(self, error: float | None) -> list[str]:
+        """Return the names of the baselines with a smaller error, the null model first."""
+        errors = {self.null_name: self.null, MEAN: self.mean, ZERO: ZERO_TORQUE}
+        if error is None:
+            return []
+        return [
+            name
+            for name, one in errors.items()
+            if one is not None and error > max(TIE * one, ROUNDING)
+        ]
+
+
+def baselines(
+    problem: Problem, tests: Mapping[str, Problem], floor: float | None = None
+) -> Baselines:
+    """Return the baselines of a problem on its tests; `floor`: error of the repeated motion."""
+    judged = list(tests.values())
+    if not judged:
+        return Baselines()
+    theta, name = _null_model(problem)
+    null = None if theta is None else RowErrors(judged, problem.base.K @ theta).torque_error
+    return Baselines(null, name, mean_torque_error(problem, judged), floor)
+
+
+def _null_model(problem: Problem) -> tuple[Array | None, str]:
+    """theta (p,) of the null model, None where nothing is known beforehand, and its name."""
+    if problem.file is None and problem.prior is None:
+        return None, FILE
+    is_body = body_columns(problem)
+    if is_body.all() or not is_body.any():
+        return file_values(problem), FILE
+    return identify(FileFriction(), problem).theta, FILE_FRICTION

@@ -1,0 +1,75 @@
+"""Mistakes planted in recordings of real robots: the right cause first, no absurd factor, and no
+refusal of what can be used."""
+
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+import pytest
+
+from reports.make.mistakes_to_plant import HARMLESS, MISTAKES
+from reports.make.planted_mistakes import Bench, Case, cases_of, line
+from reports.make.recordings_to_diagnose import recorded_motions, recorded_subjects, with_tool
+from sysid_bench.commands.diagnose import diagnose
+
+pytestmark = pytest.mark.usefixtures("data_folder")
+
+PARTS = 7
+"""Of the mistakes in each recording one in seven, of all recordings each: a minute."""
+
+
+@cache
+def planted() -> tuple[Case, ...]:
+    """A part of the mistakes in one recording of each data set, with a tool and without in turn."""
+
+    def cases() -> Iterator[Case]:
+        for k, one in enumerate(recorded_subjects()):
+            # Training motions of even sets and test motions of odd ones, or the other way round.
+            if k % 4 in (0, 3):
+                is_loaded = k % 3 == 0
+                yield from cases_of(
+                    Bench(with_tool(one) if is_loaded else one, is_loaded), k, PARTS
+                )
+
+    return tuple(cases())
+
+
+@pytest.mark.long
+def test_the_right_cause_is_named_first() -> None:
+    harmful = [case for case in planted() if case.is_harmful]
+    missed = "\n".join(line(case) for case in harmful if not case.named)
+    assert len(harmful) > 50
+    assert np.mean([case.named for case in harmful]) >= 0.6, missed
+
+
+@pytest.mark.long
+def test_no_factor_is_absurd() -> None:
+    absurd = [line(case) for case in planted() if case.absurd]
+    assert len(absurd) <= 8, absurd
+
+
+@pytest.mark.long
+def test_harmless_changes_are_not_refused() -> None:
+    refused = [line(case) for case in planted() if case.is_harmless and case.refused]
+    assert len(refused) <= 2, refused
+
+
+@pytest.mark.long
+def test_a_recording_without_a_mistake_is_not_refused() -> None:
+    """All motions of all data sets, tests too."""
+    refused = {
+        name
+        for name, motion in recorded_motions()
+        if not diagnose(f"dataset:{name}/{motion}", f"dataset:{name}").ok
+    }
+    assert refused <= {"tx40", "double_pendulum_c"}
+
+
+@pytest.mark.parametrize(
+    "kind", ["torque sign, all", "torque = velocity", "torque columns exchanged", "no velocities"]
+)
+def test_some_mistakes_in_one_recording(kind: str) -> None:
+    one = next(iter(recorded_subjects("ur10e")))
+    (mistake,) = (one for one in (*MISTAKES, *HARMLESS) if one.name == kind)
+    case = Bench(one).case(mistake, 1)
+    assert case.named or (case.is_harmless and not case.refused), line(case)
