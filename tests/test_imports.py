@@ -50,7 +50,6 @@ EXCEPTIONS = {
                 "sysid_bench.canonical_json",
                 "sysid_bench.errors",
                 "sysid_bench.experiments.blind_data",
-                "sysid_bench.experiments.third_party",
                 "sysid_bench.harness.work.confinement",
                 "sysid_bench.identification.identify",
                 "sysid_bench.plugin_names",

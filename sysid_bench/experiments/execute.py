@@ -28,12 +28,11 @@ from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import (
     loaded_sources,
-    module_files,
     read_package_files,
 )
 from sysid_bench.identification.identify import fit_fields, identify
 from sysid_bench.metrics import REASONS, metric_fields
-from sysid_bench.plugin_names import build
+from sysid_bench.plugin_names import build, module_files
 from sysid_bench.regressors.kernel_c import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.version_fields import version_fields

@@ -120,12 +120,6 @@ def reader_candidates(file: Path) -> Iterator[tuple[str, str]]:
     yield from ((LOG_READER, name) for name in names)
 
 
-def module_files() -> list[tuple[str, str]]:
-    """Return (name, file) of the modules in this process."""
-    found = ((name, getattr(one, "__file__", None)) for name, one in list(sys.modules.items()))
-    return [(name, file) for name, file in found if isinstance(file, str)]
-
-
 def loaded_sources(modules: Iterable[tuple[str, str]]) -> dict[str, str]:
     """Return {path: SHA-256} of the third-party source files and {distribution: version} of the
     third-party packages among modules (name, file).

@@ -51,8 +51,8 @@ def _serve(request: dict[str, Any], method: Any, requests: IO[bytes], answers: I
 
     from sysid_bench.canonical_json import plain
     from sysid_bench.experiments.blind_data import read_method_data
-    from sysid_bench.experiments.third_party import module_files
     from sysid_bench.identification.identify import identify
+    from sysid_bench.plugin_names import module_files
 
     problem, experiment = read_method_data(requests.read(request["bytes"]))
     _answer(answers, {"ready": True})
