@@ -46,6 +46,7 @@ EXCEPTIONS = {
         (
             ("harness/work/blind_worker.py", module)
             for module in (
+                "resource",
                 "types",
                 "sysid_bench.canonical_json",
                 "sysid_bench.errors",

@@ -28,10 +28,15 @@ from sysid_bench.experiments.job_channel import MethodEnd, ProcessEnd, peak_memo
 from sysid_bench.experiments.spec import SEEDS
 from sysid_bench.experiments.third_party import loaded_sources
 from sysid_bench.harness.work.confinement import NAMESPACES, PROCESS, hide_memory
-from sysid_bench.harness.work.process_tree import MARK, child_of, kill_subtree
+from sysid_bench.harness.work.process_tree import MARK, child_of, kill_subtree, memory_use
 from sysid_bench.harness.work.run_process import end_of_process
 from sysid_bench.types import Estimate, Experiment, Problem
 from sysid_bench.words import STATUSES
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
 
 ISOLATION: Final = "SYSID_BENCH_ISOLATION"
 """Environment variable: `process` runs methods without namespaces, as where the system has none."""
@@ -44,6 +49,8 @@ _INHERITED: Final = (
 """What a method inherits of the environment: no file of seeds, no token of the user."""
 _LONGEST: Final = 1 << 26
 _POLL_SECONDS: Final = 0.1
+_CONFINEMENT: Final = 50_000_000
+"""Bytes of the two processes around a confined one, and a margin."""
 _GRACE_SECONDS: Final = 2.0
 
 
@@ -200,6 +207,7 @@ def blind_method(
                 {
                     "hidden": [os.path.abspath(path) for path in hidden if path],
                     "folder": folder,
+                    "memory": _free_memory(),
                     "isolation": wanted,
                     "path": [entry or os.getcwd() for entry in sys.path],
                     "estimator": dict(estimator),
@@ -215,6 +223,20 @@ def blind_method(
             for pipe in (process.stdin, process.stdout):
                 with contextlib.suppress(OSError):
                     pipe and pipe.close()
+
+
+def _free_memory() -> int | None:
+    """Bytes that the limit of this process leaves to a method; None without a limit.
+
+    The supervisor ends a worker whose processes are together above it: a method whose own
+    allocation fails before can say so.
+    """
+    if resource is None:
+        return None
+    limit = resource.getrlimit(resource.RLIMIT_DATA)[0]
+    if limit == resource.RLIM_INFINITY:
+        return None
+    return max(int(limit - memory_use(os.getpid(), 0.0)) - _CONFINEMENT, _CONFINEMENT)
 
 
 def _estimate(found: Any) -> Estimate:

@@ -1,9 +1,10 @@
 """Process of one third-party method, `python -m sysid_bench.harness.work.blind_worker`.
 
-In: a line {folder, hidden, isolation, path, estimator}, then for each call a line {call, bytes},
-the data of the method (`method_data`) and, once it has answered {ready}, an empty line. Out, as
-JSON lines: {isolation}; {calls} of the method; for each call {ready}, then {estimate, modules} or
-{error: [status, reason, traceback], modules}. It started fresh and never held the truth.
+In: a line {folder, hidden, memory, isolation, path, estimator}, then for each call a line
+{call, bytes}, the data of the method (`method_data`) and, once it has answered {ready}, an empty
+line. Out, as JSON lines: {isolation}; {calls} of the method; for each call {ready}, then
+{estimate, modules} or {error: [status, reason, traceback], modules}. It started fresh and never
+held the truth.
 """
 
 import contextlib
@@ -32,6 +33,10 @@ def main() -> None:
     global _process
     _process = os.getpid()
     _answer(answers, {"isolation": isolation})
+    if head["memory"] is not None:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (head["memory"],) * 2)
     sys.path[:] = list(dict.fromkeys([*head["path"], *sys.path]))
     try:
         from sysid_bench.plugin_names import build
