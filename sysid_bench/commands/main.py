@@ -11,8 +11,10 @@ import click
 from click.shell_completion import CompletionItem
 
 from sysid_bench.commands import worker_execute
-from sysid_bench.commands.shell import click_command
+from sysid_bench.commands.request import USAGE
+from sysid_bench.commands.shell import GRAVITY, click_command
 from sysid_bench.commands.table import FIRST, GROUPS, Verb, all_verbs, find_verb
+from sysid_bench.errors import unknown_name
 
 if TYPE_CHECKING:
     from sysid_bench.experiments.job_channel import JobChannel
@@ -54,6 +56,16 @@ class Verbs(click.Group):
             raise click.UsageError(f"The verb {name!r} cannot be imported: {error}.") from error
         return click_command(made, cmd_name)
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        verbs = self._verbs()
+        if args and args[0] not in verbs and args[0][:1].isalpha():
+            error = unknown_name("verb", args[0], verbs, f"All: {ctx.command_path} --help.")
+            click.echo(f"sysid-bench: {error}", err=True)
+            ctx.exit(USAGE)
+        return super().resolve_command(ctx, args)
+
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         verbs = [
             CompletionItem(name, help=verb.sentence)
@@ -94,11 +106,17 @@ class Verbs(click.Group):
     metavar="0.95",
     help="Level of all intervals, in place of that of a suite; default: 0.95.",
 )
+@click.option(
+    "--gravity",
+    metavar="X,Y,Z",
+    help="Gravity in the base frame (m/s^2) of the models that the verb is given.",
+)
 @click.version_option(package_name="sysid-bench", prog_name="sysid-bench")
 @click.pass_context
-def main(ctx: click.Context, debug: bool, confidence: float | None) -> None:
+def main(ctx: click.Context, debug: bool, confidence: float | None, gravity: str | None) -> None:
     """Benchmark of robot dynamic identification, cross-validated with Pinocchio."""
     ctx.obj = debug
+    ctx.meta[GRAVITY] = gravity
     if confidence is not None:
         from sysid_bench.evaluation.intervals import at_level  # numpy, which --help does not need
 

@@ -27,6 +27,14 @@ BASE: Final = (
 """Signals of the motion of a floating base."""
 
 
+GAIN_ADVICE: Final = (
+    "write gain = [...] in N m/A (N/A), the torque constant of the data sheet, and ratio = [...] "
+    "where it is the motor's; or weigh a known load with gain = 1.0, which is taken as stated: its "
+    "mass over the one that --task payload finds is the gain"
+)
+"""How one gets the gain of a current."""
+
+
 def _one_or_more(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
@@ -80,7 +88,8 @@ class Signal(_Table):
     `offset`), the offset in SI and in the joint's coordinate. Instead of `columns`, `match`: a
     regular expression of their names, in the order of the number that its group finds, or of the
     joint that each names. `resample`: at stamps of another file the signal is interpolated
-    ("linear"), or holds its last value ("previous": commands).
+    ("linear"), or holds its last value ("previous": commands). `unwrap`: angles jump by a turn of
+    the encoder, which is added again.
     """
 
     columns: Annotated[tuple[_Column, ...], _Several] = ()  # names, or indices from 1
@@ -95,6 +104,7 @@ class Signal(_Table):
     time: _TimeKey = None  # stamps of its own, where that file has another clock
     per_row: Annotated[int, Field(gt=0)] | None = None  # of a file with one number a line
     resample: Literal["linear", "previous"] = "linear"  # at stamps of another file
+    unwrap: bool = False  # whether jumps by a turn are taken out
 
     @model_validator(mode="after")
     def _names_columns_once(self) -> "Signal":
