@@ -138,6 +138,11 @@ def tree_of(process: int) -> list[int]:
     return found
 
 
+def child_of(process: int) -> int:
+    """Return the first child of a process; the process itself where it has none."""
+    return min(_children_of(process), default=process)
+
+
 def _children_of(process: int) -> list[int]:
     """Return the children of all threads of a process; none where it has ended."""
     found = list[int]()
