@@ -121,8 +121,8 @@ reference: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m reports.make.reference_reports $(OPTIONS) $(REPORTS)
 
 lint: $(STAMP)
-	$(BIN)/ruff check sysid_bench tests docs reports/make
-	$(BIN)/ruff format --check sysid_bench tests docs reports/make
+	$(BIN)/ruff check sysid_bench tests docs reports/make .ci
+	$(BIN)/ruff format --check sysid_bench tests docs reports/make .ci
 	$(BIN)/mypy
 
 bench: $(STAMP)

@@ -18,6 +18,7 @@ from typing import Any, Final
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 UV: Final = os.environ.get("UV", "uv")
+WHEELS: Final = ("mujoco", "mujoco-core", "pin", "scipy", "numpy", "pandas", "pyarrow")
 LINUX: Final = "x86_64-manylinux_2_35"
 
 
@@ -33,22 +34,22 @@ class Environment:
 
 
 ENVIRONMENTS: Final = (
-    Environment("LeRobot newest", ("lerobot",), install=False),
-    Environment("LeRobot 0.4", ("lerobot==0.4.4",), install=False),
-    Environment("mjlab 1.6", ("mjlab==1.6.0",), install=False),
+    Environment("LeRobot newest", ("lerobot",)),
+    Environment("LeRobot 0.4", ("lerobot==0.4.4",)),
+    Environment("mjlab 1.6", ("mjlab==1.6.0",)),
     # What isaaclab 3 asks for besides Omniverse, whose wheels have an index of their own.
     Environment("Isaac Lab's requirements", ("isaaclab",), install=False),
     # ROS 2 Jazzy: the packages of Ubuntu 24.04.
     Environment("ROS 2 Jazzy", ("numpy==1.26.4",), install=False),
     Environment("Drake", ("drake",)),
-    Environment("MJX, playground", ("mujoco-mjx", "playground"), install=False),
+    Environment("MJX, playground", ("mujoco-mjx", "playground")),
     Environment("newton", ("newton",)),
     Environment("FIGAROH", ("figaroh",)),
     Environment("Windows", platform="windows", install=False),
     Environment("Intel Mac", platform="x86_64-apple-darwin", install=False),
     Environment("Apple silicon", platform="aarch64-apple-darwin", install=False),
     Environment("the core", ()),
-    Environment("core and all extras", ("sysid-bench[all]",), install=False),
+    Environment("core and all extras", ("sysid-bench[all]",)),
 )
 COMMANDS: Final = (
     ("crosscheck", "ur5", "panda", "solo12"),
@@ -68,9 +69,11 @@ def resolve(one: Environment) -> tuple[list[str], str]:
     """Return the pinned packages; or none, and why."""
     core = [w for w in one.beside if w.startswith("sysid-bench")] or ["sysid-bench"]
     asked = [f"{core[0]} @ {ROOT.as_uri()}", *(w for w in one.beside if w not in core)]
+    # Wheels alone of what nobody compiles by the way.
+    wheels = [x for name in WHEELS for x in ("--only-binary", name)]
     done = run(
         UV, "pip", "compile", "-q", "--no-header", "--no-annotate", "--python-version", one.python,
-        "--python-platform", one.platform, "-", input="\n".join(asked),
+        "--python-platform", one.platform, *wheels, "-", input="\n".join(asked),
     )  # fmt: skip
     if done.returncode:
         return [], " ".join(done.stderr.split())[:400]

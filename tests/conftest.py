@@ -3,12 +3,15 @@
 import os
 import sys
 from collections.abc import Generator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
+
+from sysid_bench.extras import EXTRAS
 
 DATA = "SYSID_BENCH_DATA"
 
@@ -36,13 +39,13 @@ def data_folder() -> Path:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    report: pytest.TestReport = _no_data_is_a_failure((yield))
+    report: pytest.TestReport = _absent_extra_is_a_skip(_no_data_is_a_failure((yield)))
     return report
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    report: pytest.CollectReport = _no_data_is_a_failure((yield))
+    report: pytest.CollectReport = _absent_extra_is_a_skip(_no_data_is_a_failure((yield)))
     return report
 
 
@@ -52,4 +55,27 @@ def _no_data_is_a_failure(report: Any) -> Any:
     if os.environ.get(DATA) and report.skipped and reason.startswith(f"Skipped: {DATA}"):
         report.outcome = "failed"
         report.longrepr = f"{DATA} is set, so this may not skip: {reason}"
+    return report
+
+
+def _is_absent(package: str) -> bool:
+    try:
+        return find_spec(package.replace("-", "_")) is None
+    except ModuleNotFoundError:  # a module of a package that is absent
+        return True
+
+
+ABSENT = sorted(filter(_is_absent, EXTRAS))
+
+
+def _absent_extra_is_a_skip(report: Any) -> Any:
+    """Without an extra, a test that fails for want of it skips and names it; with all
+    extras, as `make` installs them, every failure is one."""
+    text = str(report.longrepr) if report.failed else ""
+    for package in ABSENT:
+        asked = f"sysid-bench[{EXTRAS[package]}]" in text
+        imported = f"No module named '{package.replace('-', '_')}" in text
+        if asked or imported:
+            report.outcome = "skipped"
+            report.longrepr = (str(report.fspath), 0, f"Skipped: needs the extra {EXTRAS[package]}")
     return report
