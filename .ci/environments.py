@@ -183,7 +183,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*")
     parser.add_argument("--folder", type=Path, default=Path("/tmp/sysid-bench-environments"))
     parser.add_argument("--again", action="store_true")
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     file = given.folder / "results.json"
     results = json.loads(file.read_text()) if file.is_file() and not given.again else {}
