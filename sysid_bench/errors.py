@@ -36,6 +36,26 @@ LISTINGS: Final = {
 }
 """Command that lists the names of a kind, as an addition to a message."""
 
+MEANT: Final[Mapping[str, Mapping[str, str]]] = {
+    "estimator": {
+        **dict.fromkeys(("sdp", "semidefinite", "feasible", "cvxpy", "mosek"), "lmi"),
+        **dict.fromkeys(("ls", "lsq", "lstsq", "least-squares", "idim-ls", "idim"), "ols"),
+        **dict.fromkeys(("weighted-least-squares", "gls", "idim-wls"), "wls"),
+        **dict.fromkeys(("pinv", "pseudo-inverse", "svd"), "min-norm"),
+        **dict.fromkeys(("map", "bayes", "bayesian"), "a-priori"),
+        **dict.fromkeys(("tikhonov", "regularised", "regularized"), "ridge"),
+        **dict.fromkeys(("null", "nominal", "friction"), "file-friction"),
+        **dict.fromkeys(("cad", "file", "model"), "prior"),
+        **dict.fromkeys(("mle", "maximum-likelihood"), "ml"),
+        **dict.fromkeys(("oe", "output-error"), "cloe"),
+        **dict.fromkeys(("bregman", "geometric"), "entropic"),
+        **dict.fromkeys(("bisquare", "biweight"), "tukey"),
+        "kf": "kalman",
+        "m-estimator": "huber",
+    }
+}
+"""Words of the literature and the names that they mean here, which spelling does not lead to."""
+
 _TOML_TYPES: Final = {
     **dict.fromkeys(("dict_type", "model_type"), "a table"),
     **dict.fromkeys(("list_type", "tuple_type"), "a list"),
@@ -110,11 +130,18 @@ def unknown_name(kind: str, name: str, known: Iterable[str], advice: str = "") -
     from difflib import get_close_matches  # 1.5 ms that --help would wait for
 
     names = sorted(set(known))
-    near = get_close_matches(name, names, n=1, cutoff=NEAR)
+    plain = name.lower().replace("_", "-")
+    meant = MEANT.get(kind, {}).get(plain)
+    # Capitals and underscores are no other name.
+    word = next((one for one in names if one.lower().replace("_", "-") == plain), name)
+    first = [meant] if meant in names else []
+    near = first or get_close_matches(word, names, n=1, cutoff=NEAR)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     # Where no name resembles it, their order by similarity is noise.
-    resembling = get_close_matches(name, names, n=1, cutoff=RESEMBLING)
-    nearest = get_close_matches(name, names, n=SHOWN, cutoff=0.0) if resembling else []
+    resembling = first or get_close_matches(word, names, n=1, cutoff=RESEMBLING)
+    others = [one for one in names if one not in first]
+    nearest = get_close_matches(word, others, n=SHOWN - len(first), cutoff=0.0)
+    nearest = first + nearest if resembling else []
     listed = _listed(kind, names, nearest)
     return UsageError(
         f"No {kind} is called {name!r}.{hint} {listed}{' ' + advice if advice else ''}"

@@ -54,6 +54,16 @@ def quantity(value: object, unit: str) -> float:
     return _finite(number, factor, value)
 
 
+def check_unit(what: str, text: str, unit: str, is_share: bool = False) -> None:
+    """Raise UsageError for a text without a unit where it has a dimension: 5 may be N m or %.
+    `is_share`: a percentage may stand for it as well."""
+    number, written = parse_quantity(text)
+    if written or unit == "1" or number == 0.0:
+        return
+    names = [name for one in unit.split("|") for name in _dimension(one)] + ["%"] * is_share
+    raise UsageError(f"{what}: {text!r} has no unit; write one of {', '.join(names)}.")
+
+
 def interval(text: object) -> tuple[float, float]:
     """Return (start, end) in seconds of "10 s to 25 s"; raises UsageError for anything else."""
     start, to, end = text.partition(" to ") if isinstance(text, str) else ("", "", "")

@@ -13,12 +13,14 @@ from sysid_bench.commands.catalogue import KINDS
 from sysid_bench.commands.main import main
 from sysid_bench.errors import (
     LISTINGS,
+    MEANT,
     SHOWN,
     SysidBenchError,
     UsageError,
     count_text,
     unknown_name,
 )
+from sysid_bench.plugin_names import known
 from sysid_bench.signals.log_keys import check_keys
 
 CLASSES = [
@@ -50,6 +52,25 @@ def test_a_hint_is_a_name_that_exists(name: str, known: list[str]) -> None:
     if "Did you mean" in message:
         hint = message.split("Did you mean ")[1].split("?")[0]
         assert hint.strip("'") in known
+
+
+@pytest.mark.parametrize("kind", MEANT)
+def test_words_of_the_literature_lead_to_a_name_that_exists(kind: str) -> None:
+    names = known(kind)
+    for word, meant in MEANT[kind].items():
+        assert meant in names, word
+        assert word not in names, f"{word} is a name itself"
+        message = str(unknown_name(kind, word.upper().replace("-", "_"), names))
+        assert f"Did you mean {meant!r}?" in message
+        assert f"The nearest of {len(names)}: {meant}" in message
+
+
+@given(name=WORDS, others=st.lists(WORDS, max_size=6))
+def test_capitals_and_underscores_are_no_other_name(name: str, others: list[str]) -> None:
+    written = name.upper().replace("-", "_")
+    if any(one != name and one.replace("_", "-") == name.replace("_", "-") for one in others):
+        return  # two names that differ by underscores alone
+    assert f"Did you mean {name!r}?" in str(unknown_name("robot", written, [*others, name]))
 
 
 @given(name=st.text(string.ascii_lowercase, min_size=4, max_size=10), known=st.lists(WORDS))

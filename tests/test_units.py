@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sysid_bench import units
 from sysid_bench.errors import UsageError
 from sysid_bench.signals import log_samples
-from sysid_bench.units import interval, parse_quantity, quantity
+from sysid_bench.units import check_unit, interval, parse_quantity, quantity
 
 # What one of each unit is in SI, written out again: a wrong factor in the package shows here.
 DIMENSIONS: list[dict[str, float]] = [
@@ -175,3 +175,19 @@ def test_any_text_becomes_a_finite_number_or_a_usage_error(text: str, unit: str)
 def test_a_unit_that_the_package_does_not_know_is_named() -> None:
     with pytest.raises(UsageError, match="furlong"):
         quantity(5, "furlong")
+
+
+@given(number=st.floats(1e-9, 1e9), table=st.sampled_from(DIMENSIONS))
+def test_a_number_without_a_unit_is_refused_with_those_there_are(
+    number: float, table: dict[str, float]
+) -> None:
+    first = next(iter(table))
+    for unit in table:
+        check_unit("x", f"{number!r} {unit}", first)
+    if first == "1":
+        check_unit("x", f"{number!r}", first)
+        return
+    with pytest.raises(UsageError) as refused:
+        check_unit("x", f"{number!r}", first, is_share=True)
+    assert all(unit in str(refused.value) for unit in (*table, "%"))
+    check_unit("x", "0", first)  # nothing, in every unit

@@ -38,8 +38,10 @@ _SENTENCE_END: Final = re.compile(r"(?<=\.) (?=[A-Z`])")
 """A full stop before a capital or a name; "et al. (2010)" and "i.e. x" do not end a sentence."""
 
 
-def entries_of_kind(kind: str, robots_dir: Path | None = None) -> list[Entry]:
-    """Return everything of a kind, singular or plural, with name and title."""
+def entries_of_kind(kind: str | None, robots_dir: Path | None = None) -> list[Entry]:
+    """Return everything of a kind, singular or plural, with name and title; None: the kinds."""
+    if kind is None:
+        return [{"name": one, "title": f"sysid-bench list {one}"} for one in KINDS]
     kinds, plural = _kinds(robots_dir), _plural(kind)
     if plural not in kinds:
         raise unknown_name("kind", kind, kinds)

@@ -9,13 +9,14 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.commands.diagnose import check_contradictions
-from sysid_bench.commands.identify import Identify
+from sysid_bench.commands.identify import WORSE, Identify
 from sysid_bench.commands.identify_result import (
     OF_CELLS,
-    WORSE,
     IdentifyResult,
     base_lines,
     cell_fields,
+    constraint_lines,
+    feasible_entry,
     identifiable_of,
     joint_line,
     solved,
@@ -26,11 +27,11 @@ from sysid_bench.commands.result import file_text, interval_text, value_text
 from sysid_bench.commands.write_model import check_files, check_output_files
 from sysid_bench.errors import SHOWN, EstimationError, ModelError, UnsupportedError, WriteError
 from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
-from sysid_bench.evaluation.intervals import level_text
+from sysid_bench.evaluation.intervals import confidence_level, level_text
 from sysid_bench.evaluation.score import joint_errors
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.left_out_parts import payload_interval, payload_mass
 from sysid_bench.experiments.recorded.model_prior import MODEL
+from sysid_bench.experiments.recorded.payload import payload_mass, recorded_payload
 from sysid_bench.experiments.recorded.prepare import TERMS_TOO, recorded_data
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log, repetition_error
@@ -51,6 +52,9 @@ RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
 DEVIATIONS: Final = 3.0
 """Standard deviations below zero from which a friction coefficient counts as negative."""
+RIGID: Final = (
+    "a rigid load; friction, offsets and gains of the joints are the same with and without it"
+)
 LEAST_GAIN_ERROR, LARGEST_DEVIATION = 0.05, 0.2
 """Least error of a torque scale that is reported, and the largest standard deviation (shares) with
 which a joint decides it."""
@@ -85,6 +89,7 @@ class RecordedResult(IdentifyResult):
             *self._opening_lines(),
             f"{self.model}, task {self.task}, {self.estimator}: rank {self.rank} "
             f"of {self.parameters}, condition {value_text(self.condition)}",
+            *(_payload_lines(self.payload) if self.payload else ()),
             f"  {seconds:.1f} s of training, pipeline {self.signals['pipeline']!r}, "
             f"filter {self.signals['filter']!r}, derivatives {self.signals['derivatives']!r}; "
             f"errors in % of the {self.denominator}",
@@ -102,7 +107,6 @@ class RecordedResult(IdentifyResult):
         lines += [*self._error_lines(), *self._baseline_lines()]
         lines += [joint_line(name, terms) for name, terms in self.joints.items()]
         lines += [*base_lines(self.base), *std_lines(self.std_from, self.std_limit)]
-        lines += _payload_lines(self.payload) if self.payload else ()
         lines += _constraint_lines(self.constraints) if self.constraints else ()
         lines += _written_lines(self.written) if self.written else ()
         return "\n".join(lines + self._closing_lines())
@@ -136,28 +140,30 @@ def identify_recorded(request: Identify) -> RecordedResult:
         check_files(load_robot(manifest), request.task, model_out, json_out)
     beside = None if model_out is None else model_out.with_suffix(".toml")
     check_output_files(request.files, beside, [*training, *tests.values()])
-    findings = tuple(name for name in request.accept if name != WORSE)
-    spec = _specification(request, training, tests, findings)
-    prepared = recorded_data(spec, manifest, Path())
+    prepared = recorded_data(_specification(request, training, tests), manifest, Path())
     source = prepared.source
     if not isinstance(source, RecordedSource):
         raise UnsupportedError(
             f"The task {request.task!r} has a way of its own to recordings; use it in a suite."
         )
-    contradictions = check_contradictions(source.recordings, findings)
+    contradictions = check_contradictions(source.recordings, request.findings)
     reason = source.prior.reason
     hint = f"The prior is absent: {reason}." if reason else ""
     estimate = solved(prepared, method, f"{name} on {manifest.name}", hint)
     assert estimate.beta is not None
-    fields = cell_fields(prepared, method, estimate, (*OF_CELLS, "rank_gap", "near_degenerate"))
+    fields = cell_fields(prepared, method, estimate, OF_CELLS)
     # Costs of the constraints that bind, for the estimator `lmi` and for written models.
     is_feasible = model_out is not None or name == "lmi"
+    payload = _payload(request, prepared, method, estimate, fields["bodies"])
+    if payload is not None and "constraint" in payload:
+        name = list(fields["bodies"])[-1]
+        fields["bodies"][name] = {key: payload[key] for key in fields["bodies"][name]}
     if WORSE in request.accept:
         fields["failure"] = None
     fields |= _recorded_fields(prepared, estimate) | {
         "model": manifest.name, "file": str(manifest.path), "task": request.task,
         "estimator": name, "figure": file_text(figure),
-        "payload": _payload(request, prepared, method, estimate, fields["bodies"]),
+        "payload": payload,
         "constraints": binding_errors(prepared.problem, prepared.held_out) if is_feasible else None,
     }  # fmt: skip
     warnings = [*fields.pop("warnings"), *_warnings(prepared, estimate, fields), *contradictions]
@@ -180,10 +186,7 @@ def _write_figure(figure: Path, prepared: ExperimentData[RecordedSource], beta: 
 
 
 def _specification(
-    request: Identify,
-    training: list[LogDescription],
-    tests: dict[str, LogDescription],
-    accept: tuple[str, ...],
+    request: Identify, training: list[LogDescription], tests: dict[str, LogDescription]
 ) -> ExperimentSpec:
     """Experiment as a suite with one [[log]] would have it."""
     written = {"filter": request.filter, "derivatives": request.derivatives}
@@ -195,7 +198,7 @@ def _specification(
         pipeline=request.pipeline_with_default(default_log_pipeline(signals)),
         log={
             "train": training, "test": tests, "moving": request.moving, "choose": request.choose,
-            "position_given": request.position_given, "accept": accept,
+            "position_given": request.position_given, "accept": request.findings,
             "feasible": request.feasible or TERMS_TOO,
         },
     )  # fmt: skip
@@ -281,12 +284,38 @@ def _payload(
     """Identified payload, or its mass alone where its position is given; None for other tasks."""
     if not find_task(request.task).identifies_payload:
         return None
-    source, beta = prepared.source, estimate.beta
+    source, beta, problem = prepared.source, estimate.beta, prepared.problem
     assert beta is not None
+    words = method, problem, source.builder, source.training, beta
+    loaded = next(log for log in source.training if log.payload)
     if request.position_given:
-        return asdict(payload_mass(method, prepared.problem, source.builder, source.training, beta))
-    intervals = payload_interval(method, prepared.problem, source.builder, source.training, beta)
-    return {**list(bodies.values())[-1], "intervals": intervals}
+        return asdict(payload_mass(*words)) | {"assumed": _stated_load(loaded)}
+    found = recorded_payload(*words)
+    (body,) = (b for b in problem.bodies if b.columns == source.builder.unknowns.payload_parameters)
+    return {
+        **feasible_entry(bodies[body.name], problem, body, found.feasible),
+        "intervals": found.intervals,
+        "confidence": confidence_level(),
+        "by_joint": found.by_joint,
+        "gain_std": {"from": found.scale.source or None, "std": dict(found.scale.std)},
+        "assumed": RIGID,
+    }
+
+
+def _stated_load(log: ProcessedLog) -> str:
+    """What is taken as given of a load of unknown mass: where it is, and which shape it has."""
+    payload, robot, written = log.payload, log.robot, log.log.description.payload
+    frame = robot.manifest.tool or robot.body_names[robot.tool_body]
+    keys = written if isinstance(written, Mapping) and "use" not in written else None
+    place = f"at ({', '.join(f'{x:.4g}' for x in payload.com)}) m from the frame {frame}"
+    if keys is not None and "com" not in keys:
+        place = f"at the origin of the frame {frame}, since the log states no com"
+    shape = (
+        "a solid with the stated inertia for its mass" if any(payload.inertia) else "a point mass"
+    )
+    if keys is not None and "inertia" not in keys:
+        shape = "a point mass, since the log states no inertia"
+    return f"{shape}, {place}"
 
 
 # --- Warnings -----------------------------------------------------------------------------------
@@ -371,43 +400,68 @@ def _error_text(joint: Mapping[str, Any]) -> str:
 
 
 def _payload_lines(payload: Mapping[str, Any]) -> Iterator[str]:
-    """The mass by all joints and by single ones; or the parameters that are identifiable on their
-    own, with intervals of mass, centre of mass and inertia about it."""
+    """The mass by all joints and by single ones; or the identifiable values of the load, with
+    intervals; then what was assumed."""
+    share, masses = f"{100 * payload['confidence']:.10g} %", payload["by_joint"].items()
     if "interval" in payload:
-        share, ends = 100 * payload["confidence"], interval_text(*payload["interval"])
         yield (
-            f"  payload: mass {payload['mass']:.4g} kg, {share:.0f} % in {ends} by leaving parts "
-            "of the motion out and by the joints"
+            f"  payload: mass {payload['mass']:.4g} kg, {share} in "
+            f"{interval_text(*payload['interval'])}, by leaving parts of the motion out and by the "
+            "joints"
         )
-        masses = payload["by_joint"].items()  # torques of a wrong scale make them differ
-        if parts := [f"{name} {mass:.3g} ± {std:.1g}" for name, (mass, std) in masses]:
-            yield f"    by the torque of one joint alone: {', '.join(parts)} kg"
-        return
-    units = {"m": "kg", "h": "kg m", "I": "kg m^2"}
-    values = [
-        f"{key} {value_text(payload['parameters'][key])} {units[key[0]]}"
-        for key in identifiable_of(payload)
-    ]
-    yield f"  payload: {', '.join(values) or 'nothing of it is identifiable on its own'}"
-    for key, names, unit in (
+    else:
+        yield from _load_lines(payload, share)
+    # Torques of a wrong scale make them differ.
+    if parts := [f"{name} {mass:.3g} ± {std:.1g}" for name, (mass, std) in masses]:
+        yield f"    by the torque of each joint: {', '.join(parts)} kg"
+    yield f"    assumed: {payload['assumed']}"
+
+
+def _load_lines(payload: Mapping[str, Any], share: str) -> Iterator[str]:
+    """Mass, centre of mass and inertia with their intervals, else the parameters that are
+    identifiable; what holds the load feasible, and what the intervals hold."""
+    texts = []
+    groups: tuple[tuple[str, tuple[str, ...], str], ...] = (
         ("mass", ("mass",), "kg"),
         ("com", ("centre of mass x", "y", "z"), "m"),
         ("inertia", ("inertia about it Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"), "kg m^2"),
-    ):
+    )
+    for key, names, unit in groups:
         if ends := payload["intervals"].get(key):
-            texts = []
-            for name, value, (low, high) in zip(
-                names, np.atleast_1d(payload[key]), ends, strict=True
-            ):
-                text = interval_text(low, high)
-                middle = f"{value:.4g} in " if text.startswith("[") else ""
-                texts.append(f"{name} {middle}{text}")
-            yield f"    {', '.join(texts)} {unit}"
+            found = zip(names, np.atleast_1d(payload[key]), map(list, ends), strict=True)
+            values = [f"{name} {value:.4g} in {_ends_text(*two)}" for name, value, two in found]
+            texts.append(f"{', '.join(values)} {unit}")
+    if not texts:
+        units = {"m": "kg", "h": "kg m", "I": "kg m^2"}
+        listed = [f"{key} {value_text(payload['parameters'][key])} {units[key[0]]}"
+                  for key in identifiable_of(payload)]  # fmt: skip
+        texts.append(", ".join(listed) or "nothing of it is identifiable on its own")
+    yield f"  payload: {texts[0]}"
+    yield from (f"    {text}" for text in texts[1:])
+    yield from constraint_lines(payload["constraint"])
     if payload["intervals"]:
-        yield (
-            f"    {level_text()} intervals by leaving parts of the motion out; a wrong torque "
-            "scale, as of drive gains, moves all of them alike and is not in them"
-        )
+        if payload["intervals"]["mass"][0][0] <= 0:
+            yield "    the mass may be zero, and then its centre and inertia have no value"
+        yield f"    {share} intervals by leaving parts of the motion out{_scale_text(payload)}"
+
+
+def _scale_text(payload: Mapping[str, Any]) -> str:
+    """The uncertainty of the torque scale that intervals hold, or that they hold none."""
+    scale = payload["gain_std"]
+    if scale["from"] is None:
+        return "; errors of the torque scale are not in them: state tau.gain_std in the logs"
+    sizes = sorted({f"{100 * u:.2g}" for u in scale["std"].values()}, key=float)
+    size = " to ".join(dict.fromkeys((sizes[0], sizes[-1])))
+    if scale["from"] == "stated":
+        return f" and by the torque scales, {size} % as gain_std of the logs states"
+    return (
+        f" and by the torque scales, {size} % as far as the joints disagree on the mass; an error "
+        "that all joints share shows in none of them: state it as tau.gain_std"
+    )
+
+
+def _ends_text(low: float, high: float) -> str:
+    return f"[{low:.4g}, {high:.4g}]"
 
 
 def _constraint_lines(constraints: Sequence[Mapping[str, Any]]) -> list[str]:

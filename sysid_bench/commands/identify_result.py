@@ -19,6 +19,7 @@ from sysid_bench.evaluation.baselines import (
     Baselines,
 )
 from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
+from sysid_bench.evaluation.feasible_body import FeasibleBody
 from sysid_bench.evaluation.open_directions import OpenDirections, open_directions
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.identifiability.base_expressions import (
@@ -26,25 +27,24 @@ from sysid_bench.identifiability.base_expressions import (
     expression,
     parameter_verdict,
 )
+from sysid_bench.identifiability.base_map import left_out_torque
 from sysid_bench.identification.estimators.bayesian import GuardedWLS
 from sysid_bench.identification.identify import fit_fields
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial import NAMES, body_mass_inertia, inertia_values
-from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.types import Array, Body, Estimate, Problem
 from sysid_bench.words import INTERVAL_LIMITS
 
 REPORTED: Final = (
-    *("rank", "data_rank", "parameters", "condition", "condition_unit", "rmse_train", "rmse_test"),
+    *("rank", "rank_gap", "near_degenerate", "data_rank", "parameters", "condition"),
+    *("condition_unit", "rmse_train", "rmse_test"),
     *("torque_error", "torque_error_null", "torque_error_mean", "torque_error_floor", "beaten_by"),
     *("feasible", "converged", "iterations", "simulations", "stop"),
 )
 """Fields of the row of any identification that its result has as well."""
 OF_CELLS: Final = (*REPORTED, "torque_error_moving", "torque_error_weighted", "standstill")
 """The same of those that run the pipeline of suites."""
-
-WORSE: Final = "worse"
-"""Word of --accept for an answer that a baseline beats."""
 
 WEAKEST: Final = 3
 """Base parameters at the end of the summary, those with the largest relative deviations."""
@@ -84,6 +84,7 @@ class IdentifyResult(Result):
     rows: list[str]
     estimator: str
     scores: Mapping[str, Any] = field(metadata=HIDDEN)
+    from_file: bool = field(default=True, metadata=HIDDEN)  # the null model, else a prior
     std_from: str | None
     std_limit: str | None
     joints: dict[str, dict[str, Any]]
@@ -123,18 +124,20 @@ class IdentifyResult(Result):
         """Warnings without which the answer is misread."""
         return [f"warning: {warning}" for warning in self.warnings[: self._urgent]]
 
-    def _baseline_lines(self) -> list[str]:
-        """The error of the answer on its test beside those of predictions without one."""
+    def _baseline_lines(self, own: str = "on the test {:.3g} %; ") -> list[str]:
+        """The error of the answer on its test (as `own` says it) beside those of predictions
+        without one."""
         error = self.scores.get("torque_error")
         if error is None:
             return []
         name = FILE_FRICTION if self.joints and self.bodies else FILE
-        errors = {WORDS[name]: "null", WORDS[MEAN]: "mean"}
+        null = WORDS[name] if self.from_file else WORDS[name].replace("model file", "prior")
+        errors = {null: "null", WORDS[MEAN]: "mean"}
         known = {words: self.scores.get(f"torque_error_{key}") for words, key in errors.items()}
         known |= {WORDS[ZERO]: ZERO_TORQUE}
         known |= {"the training torque, played again": self.scores.get("torque_error_floor")}
         texts = [f"{words} {100 * e:.3g} %" for words, e in known.items() if e is not None]
-        return [f"  torque error on the test {100 * error:.3g} %; of {', '.join(texts)}"]
+        return [f"  torque error {own.format(100 * error)}of {', '.join(texts)}"]
 
     def _closing_lines(self) -> list[str]:
         """The other warnings, and files."""
@@ -173,12 +176,14 @@ def cell_fields(
     weight = estimate.stats.get("weight") if isinstance(method, GuardedWLS) else None
     if directions.count or weight:
         warnings.append(_open_text(directions, weight, problem.prior is not None))
-    failure = _failure(whole, prepared.baselines)
+    failure = _failure(whole, prepared.baselines, problem.file is not None)
     warnings += [failure] if failure else []
+    warnings += _dropped_texts(problem)
     return {
         "rows": list(problem.rows),
         "scores": {name: whole.get(name) for name in scores},
         **_estimate_fields(estimate, problem, method),
+        "from_file": problem.file is not None,
         "open_directions": directions.count,
         "prior_weight": weight,
         "failure": failure,
@@ -207,16 +212,41 @@ def _open_text(directions: OpenDirections, weight: float | None, has_prior: bool
     )
 
 
-def _failure(row: Mapping[str, Any], against: Baselines) -> str | None:
-    """Reason for which an answer is worse than none, with what to do; None where it is not."""
+def _dropped_texts(problem: Problem) -> list[str]:
+    """Sentence on directions that the rank rule drops though they are no rounding, with the torque
+    that they have for what is known beforehand."""
+    base = problem.base
+    if not base.near_degenerate:
+        return []
+    first = base.singular_values[base.rank]
+    known = problem.file if problem.prior is None else problem.prior.theta
+    share = ""
+    if known is not None and base.dropped is not None:
+        torque = left_out_torque(base, known)
+        share = f"; their torque, {torque:.1e} of the whole by what is known beforehand, is lost"
+    return [
+        f"the rank rule drops {count_text(base.near_degenerate, 'nearly dependent direction')} "
+        f"(singular values from {first / base.singular_values[0]:.1e} of the largest, gap "
+        f"{base.gap:.3g} to the last kept one){share}"
+    ]
+
+
+def _failure(row: Mapping[str, Any], against: Baselines, has_file: bool) -> str | None:
+    """Reason for which an answer is worse than none, with what to do; None where it is not. A
+    simulated robot has no file (`has_file`) but a prior."""
     error, beaten = row.get("torque_error"), row.get("beaten_by")
     if error is None or not beaten:
         return None
     names = beaten.split(", ")
-    errors = {against.null_name: against.null, MEAN: against.mean, ZERO: ZERO_TORQUE}
-    texts = " and ".join(f"{WORDS[name]} ({errors[name]:.4g})" for name in names)
+    texts = " and ".join(f"{WORDS[name]} ({against.errors[name]:.4g})" for name in names)
     advice = "do not use it for other motions"
-    if names[0] == FILE_FRICTION:
+    if names[0] in (FILE, FILE_FRICTION) and not has_file:
+        texts = texts.replace("the model file", "the prior")
+        advice = (
+            "the noise makes the parameters worse than those of the prior. Use a method with a "
+            "prior (--estimator a-priori), or a richer motion (sysid-bench excite)"
+        )
+    elif names[0] == FILE_FRICTION:
         advice = (
             "this motion makes the bodies worse than those of the file. Use those (--estimator "
             "file-friction) or a richer motion (sysid-bench excite), and check the recordings "
@@ -278,14 +308,8 @@ def _values(problem: Problem, theta: Array, verdict: Array, std: Array) -> dict[
     bodies: dict[str, dict[str, Any]] = {}
     for body in problem.bodies:
         ten = [index.pop(column) for column in body.columns]
-        phi, single = theta[ten], verdict[ten] == "identifiable"
-        # Combinations count as zero here; com and inertia are only given where none is needed.
-        _, com, inertia = body_mass_inertia(np.where(single, phi, 0.0))
         bodies[body.name] = {
-            "mass": float(phi[0]) if single[0] else None,
-            "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
-            "inertia": inertia_values(inertia).tolist() if single.all() else None,
-            "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
+            **_body_values(theta[ten], verdict[ten] == "identifiable"),
             "identifiable": dict(zip(NAMES, verdict[ten].tolist(), strict=True)),
             "std": dict(zip(NAMES, std[ten].tolist(), strict=True)),
         }
@@ -300,6 +324,33 @@ def _values(problem: Problem, theta: Array, verdict: Array, std: Array) -> dict[
         entry = {"value": float(theta[j]), "identifiable": str(verdict[j]), "std": float(std[j])}
         joints.setdefault(joint, {})[term] = entry
     return {"bodies": bodies, "joints": joints}
+
+
+def _body_values(phi: Array, single: Array) -> dict[str, Any]:
+    """Values of phi (10,), of which those in the mask `single` (10,) are identifiable."""
+    # Combinations count as zero here; com and inertia are only given where none is needed.
+    _, com, inertia = body_mass_inertia(np.where(single, phi, 0.0))
+    return {
+        "mass": float(phi[0]) if single[0] else None,
+        "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
+        "inertia": inertia_values(inertia).tolist() if single.all() else None,
+        "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
+    }
+
+
+def feasible_entry(
+    entry: Mapping[str, Any], problem: Problem, body: Body, found: FeasibleBody
+) -> dict[str, Any]:
+    """The entry of a body with its feasible values, and what that constraint changes as
+    `constraint`."""
+    values: dict[str, Any] = {}
+    if found.binds:
+        theta = problem.base.embed(found.beta)
+        phi = theta[[problem.parameters.index(column) for column in body.columns]]
+        single = [verdict == "identifiable" for verdict in entry["identifiable"].values()]
+        values = _body_values(phi, np.array(single))
+    change = {"binds": found.binds, "excess": found.excess, "cost": found.cost}
+    return {**entry, **values, "constraint": change | {"without": found.without}}
 
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
@@ -360,6 +411,27 @@ def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
     if others:
         lines.append(f"  nothing is identifiable on its own: {first_names(others, SHOWN)}")
     return lines
+
+
+def constraint_lines(constraint: Mapping[str, Any]) -> Iterator[str]:
+    """What the feasible inertia of a load changes; none where the data have it by themselves."""
+    if not constraint["binds"]:
+        return
+    yield (
+        "    held feasible (mass positive, inertia about the centre within the triangle "
+        f"inequality): torque error {_percent(constraint['cost'])}, squared residuals over their "
+        f"noise {constraint['excess']:+.3g}"
+    )
+    free = constraint["without"]
+    texts = [f"mass {free['mass'][0]:.4g} kg"] if "mass" in free else []
+    if "inertia" in free:
+        texts.append(f"inertia {' '.join(f'{x:.2g}' for x in free['inertia'])} kg m^2")
+    if texts:
+        yield f"      without it: {', '.join(texts)}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:+.2g} %"
 
 
 def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:

@@ -15,6 +15,8 @@ from sysid_bench.commands.identify_result import (
     base_lines,
     body_lines,
     cell_fields,
+    constraint_lines,
+    feasible_entry,
     joint_line,
     solved,
     std_lines,
@@ -26,6 +28,7 @@ from sysid_bench.commands.task_terms import check_terms
 from sysid_bench.commands.values import check_seed
 from sysid_bench.commands.write_model import check_files, write_model
 from sysid_bench.errors import ModelError, WriteError
+from sysid_bench.evaluation.feasible_body import feasible_body
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.simulated.composed_plant import ENCODERS, has_exact_positions
@@ -71,7 +74,7 @@ class SimulatedResult(IdentifyResult):
             f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
             f"other motions, torque error {value_text(self.torque_error)}",
         ]
-        lines += self._baseline_lines()
+        lines += self._baseline_lines(own="")
         if self.left_out:
             lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
         if self.sensor is not None:
@@ -85,6 +88,7 @@ class SimulatedResult(IdentifyResult):
             base = list(_exact(dict(enumerate(base)), smallest).values())
             meaning = [f"  exact to {self.exact:g} of the largest base parameter (no noise)"]
         lines += body_lines(bodies)
+        lines += constraint_lines(self.payload["constraint"]) if self.payload else ()
         lines += [joint_line(name, terms) for name, terms in joints.items()]
         lines += [*base_lines(base), *meaning]
         if self.completed is not None and self.parameters > self.rank:
@@ -172,9 +176,17 @@ def _result(
         found = None if errors is None else {key: asdict(one) for key, one in errors.items()}
         sensor = _sensor_fields(prepared) | {"estimation": found}
     is_payload = source.task.definition.identifies_payload
-    warnings = fields.pop("warnings")
+    warnings, payload = fields.pop("warnings"), None
     assert estimate.beta is not None
+    if is_payload:
+        body = problem.bodies[0]
+        entry = fields["bodies"][body.name]
+        feasible = feasible_body(problem, estimate.beta, body)
+        payload = feasible_entry(entry, problem, body, feasible)
+        fields["bodies"][body.name] = {key: payload[key] for key in entry}
     exact = _rounding(estimate.beta, problem.base.K @ source.truth.theta)
+    if not spec.noise and exact is None:
+        own = [*_inexact_text(fields["scores"], method), *own]
     return SimulatedResult(
         **fields,
         model=robot.name,
@@ -182,7 +194,7 @@ def _result(
         task=request.task,
         terms=list(unknown_terms(spec, robot, source.task.definition)),
         estimator=_estimator(request),
-        payload=next(iter(fields["bodies"].values()), None) if is_payload else None,
+        payload=payload,
         completed=request.complete,
         warnings=[*warnings, *own],
         sensor=sensor,
@@ -219,6 +231,20 @@ def _robot(request: Identify, spec: ExperimentSpec) -> tuple[LoadedRobot, Experi
         return LoadedRobot(robot), replace(spec, content=manifest.content)
     folder = file_text(request.robots_dir)
     return loaded_robot(spec.robot, spec.payload, folder, None, request.free_base), spec
+
+
+def _inexact_text(scores: Mapping[str, Any], method: Any) -> list[str]:
+    """Reason for which an answer to exact data has a larger error than rounding; none where its
+    torques do not show it."""
+    error = scores["torque_error"]
+    if error is None or error <= LARGEST:
+        return []
+    cause = f"the method: {bias}" if (bias := getattr(method, "bias", "")) else "rounding"
+    if scores["near_degenerate"] and not bias:
+        cause = "the nearly dependent directions, which the data contain and no base parameter does"
+    elif scores["condition"] and not bias:
+        cause = f"rounding, which the condition number {scores['condition']:.1e} magnifies"
+    return [f"exact data, and a torque error of {error:.1e}, by {cause}"]
 
 
 def _rounding(beta: Array, beta_true: Array) -> float | None:

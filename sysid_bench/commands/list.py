@@ -17,14 +17,14 @@ from sysid_bench.commands.result import Result
 
 
 class List(Request[list[dict[str, Any]]]):
-    """List the names of a KIND.
+    """List the names of a KIND; without one, the kinds.
 
     One of robots, payloads, tasks, terms, plants, excitations, simulations, pipelines, filters,
     estimators, metrics, suites, datasets, model-errors, sensor-errors, log-readers, executors,
     integrators, statistics, intervals, statuses, collections, motors.
     """
 
-    kind: str = argument("KIND", complete="kinds")
+    kind: str | None = argument("KIND", default=None, complete="kinds")
     robots_dir: Path | None = robots_option()
 
     def run(self) -> list[dict[str, Any]]:
@@ -32,7 +32,7 @@ class List(Request[list[dict[str, Any]]]):
         simulations, plants, model-errors, sensor-errors, pipelines, metrics, log-readers, datasets,
         collections, motors, terms, filters, integrators, executors, statistics, intervals,
         statuses; singular or plural) with name and title; the title of an entry that cannot be read
-        states the reason."""
+        states the reason. Without a kind, the kinds."""
         from sysid_bench.commands.catalogue import entries_of_kind
 
         return entries_of_kind(self.kind, self.robots_dir)
@@ -43,7 +43,7 @@ class List(Request[list[dict[str, Any]]]):
         if as_json:
             print_json(self.run())
         else:
-            print_entries(self.run(), f"sysid-bench list {self.kind} | less")
+            print_entries(self.run(), f"sysid-bench list {self.kind or 'KIND'} | less")
         return OK
 
 

@@ -11,8 +11,10 @@ import click
 from click.shell_completion import CompletionItem
 
 from sysid_bench.commands import worker_execute
+from sysid_bench.commands.request import USAGE
 from sysid_bench.commands.shell import click_command
 from sysid_bench.commands.table import FIRST, GROUPS, Verb, all_verbs, find_verb
+from sysid_bench.errors import unknown_name
 
 if TYPE_CHECKING:
     from sysid_bench.experiments.job_channel import JobChannel
@@ -53,6 +55,16 @@ class Verbs(click.Group):
         except (ImportError, AttributeError) as error:
             raise click.UsageError(f"The verb {name!r} cannot be imported: {error}.") from error
         return click_command(made, cmd_name)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        verbs = self._verbs()
+        if args and args[0] not in verbs and args[0][:1].isalpha():
+            error = unknown_name("verb", args[0], verbs, f"All: {ctx.command_path} --help.")
+            click.echo(f"sysid-bench: {error}", err=True)
+            ctx.exit(USAGE)
+        return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         verbs = [

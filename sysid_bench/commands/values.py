@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
+from sysid_bench.experiments.spec import NOISE_UNITS
 from sysid_bench.input_files import parse_toml, read_text
-from sysid_bench.units import interval
+from sysid_bench.units import check_unit, interval
 
 _STRING = re.compile(r"'[^']*'|\"[^\"]*\"")
 _ASSIGNMENT = re.compile(r"(?<![=!<>])=(?!=)")
@@ -93,6 +94,7 @@ def parse_noise(text: str | None) -> dict[str, str]:
             )
         if key in table:
             raise UsageError(f"--noise has {key} twice.")
+        check_unit(f"--noise {key}", value, NOISE_UNITS.get(key, "1"), key == "tau")
         table[key] = value
     return table
 

@@ -4,7 +4,7 @@ import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -261,6 +261,13 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
     if is_file((folder or Path()) / source):
         kinds = ", ".join(MODEL_SUFFIXES)
         raise UsageError(f"{source!r} is not a model file ({kinds}) and not a robot.toml.")
+    named = PurePath(source)
+    if named.suffix[1:].isalpha():  # a file: no name of a robot resembles it
+        same = f", or the robot {named.stem!r}" if named.stem in table else ""
+        raise UsageError(
+            f"There is no file {source!r}, and its suffix is not of a model file: give a URDF or "
+            f"MJCF file ({', '.join(MODEL_SUFFIXES)}){same}."
+        )
     raise unknown_name("robot", source, table, "Or give the path of a URDF or MJCF file.")
 
 

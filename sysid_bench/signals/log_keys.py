@@ -27,6 +27,14 @@ BASE: Final = (
 """Signals of the motion of a floating base."""
 
 
+GAIN_ADVICE: Final = (
+    "write gain = [...] in N m/A (N/A), the torque constant of the data sheet, and ratio = [...] "
+    "where it is the motor's; or weigh a known load with gain = 1.0, which is taken as stated: its "
+    "mass over the one that --task payload finds is the gain"
+)
+"""How one gets the gain of a current."""
+
+
 def _one_or_more(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
@@ -80,7 +88,8 @@ class Signal(_Table):
     `offset`), the offset in SI and in the joint's coordinate. Instead of `columns`, `match`: a
     regular expression of their names, in the order of the number that its group finds, or of the
     joint that each names. `resample`: at stamps of another file the signal is interpolated
-    ("linear"), or holds its last value ("previous": commands).
+    ("linear"), or holds its last value ("previous": commands). `unwrap`: angles jump by a turn of
+    the encoder, which is added again.
     """
 
     columns: Annotated[tuple[_Column, ...], _Several] = ()  # names, or indices from 1
@@ -95,6 +104,7 @@ class Signal(_Table):
     time: _TimeKey = None  # stamps of its own, where that file has another clock
     per_row: Annotated[int, Field(gt=0)] | None = None  # of a file with one number a line
     resample: Literal["linear", "previous"] = "linear"  # at stamps of another file
+    unwrap: bool = False  # whether jumps by a turn are taken out
 
     @model_validator(mode="after")
     def _names_columns_once(self) -> "Signal":
@@ -137,10 +147,29 @@ class PositionControl(_Table):
         return {name: part for name, part in parts.items() if isinstance(part, Signal)}
 
 
+def _fraction(value: Any) -> Any:
+    """Return the number of "10 %"; anything but a text as it is."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return quantity(value, "1")
+    except UsageError as error:
+        raise ValueError(str(error).rstrip(".")) from error
+
+
+def _shares(value: Any) -> Any:
+    values = tuple(map(_fraction, _one_or_more(value)))
+    if not all(isinstance(x, float) and 0 < x < 1 for x in values):
+        raise ValueError(f"must be shares between 0 and 1, as 0.02 or '2 %'; got {value!r}")
+    return values
+
+
 class Torque(Signal):
     """Measured torque, or `pd` in place of its columns: that of a position controller."""
 
     is_recorded: ClassVar[bool] = True
+    gain_std: Annotated[tuple[float, ...], BeforeValidator(_shares)] = ()
+    """Standard uncertainty of the gains: one factor for all joints, or one each; "2 %"."""
     pd: PositionControl | None = None
 
     @model_validator(mode="after")
@@ -227,16 +256,6 @@ class ControllerKeys(_Table):
     kd: Annotated[tuple[float, ...], _Several]  # rate gains
     rate: str | float | None = None
     held: bool = False
-
-
-def _fraction(value: Any) -> Any:
-    """Return the number of "10 %"; anything but a text as it is."""
-    if not isinstance(value, str):
-        return value
-    try:
-        return quantity(value, "1")
-    except UsageError as error:
-        raise ValueError(str(error).rstrip(".")) from error
 
 
 def _files(value: Any) -> Any:

@@ -10,7 +10,16 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_checks import held_rows
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
-from sysid_bench.signals.log_keys import BASE, COMMANDED, SIGNALS, TOLD, Base, Signal, Wrench
+from sysid_bench.signals.log_keys import (
+    BASE,
+    COMMANDED,
+    GAIN_ADVICE,
+    SIGNALS,
+    TOLD,
+    Base,
+    Signal,
+    Wrench,
+)
 from sysid_bench.signals.log_source import read_columns
 from sysid_bench.types import Array
 
@@ -232,6 +241,9 @@ def _read_signals(log: LogDescription, kinds: Sequence[str]) -> Samples:
                 f"write one column for each of {', '.join(log.joints)}."
             )
         values[name] = x * _unit_scale(log, name, part, kinds)
+        if part.unwrap:
+            ratio = log.joint_values(f"{name}.ratio", part.ratio)
+            values[name] = _unwrapped(values[name], ratio, kinds)
         truncated = max(truncated, table.truncated)
     lengths = {name: len(values[name]) for name in log.signals}
     # The torque of a position controller follows once the signals are on the joint side.
@@ -246,6 +258,16 @@ def _read_signals(log: LogDescription, kinds: Sequence[str]) -> Samples:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
         raise UsageError(f"{log.source}: the signals differ in length: {listed} samples.")
     return samples.select(slice(shortest))
+
+
+def _unwrapped(x: Array, ratio: Array, kinds: Sequence[str]) -> Array:
+    """Return x (N, k), of hinges without jumps by a turn of their encoders, which is
+    2 pi / ratio."""
+    valid = np.isfinite(x)
+    for j in (j for j, kind in enumerate(kinds) if kind != "slide"):
+        angles = x[valid[:, j], j]
+        x[valid[:, j], j] = np.unwrap(angles, period=2 * np.pi / abs(ratio[j]))
+    return x
 
 
 def _unit_scale(log: LogDescription, name: str, part: Signal, kinds: Sequence[str]) -> Array:
@@ -280,11 +302,8 @@ def _unit_scale(log: LogDescription, name: str, part: Signal, kinds: Sequence[st
                 f"{where}: {unit!r} does not fit, since it {movement}; write one unit for each "
                 f"joint, here one of {', '.join(fitting)}."
             )
-        if unit in _CURRENT and part.gain == (1.0,):
-            raise UsageError(
-                f"{log.source}: {name} is a current in {unit}; write gain = [...] in N m/A (or "
-                "N/A), and ratio = [...] where it is the motor's."
-            )
+        if unit in _CURRENT and "gain" not in part.model_fields_set:
+            raise UsageError(f"{log.source}: {name} is a current in {unit}: {GAIN_ADVICE}.")
         sizes.append(fitting[unit])
     return factors * sizes
 

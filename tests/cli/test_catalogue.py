@@ -72,3 +72,10 @@ def test_a_piped_list_has_a_line_each(cli: Run) -> None:
     assert [line.split(maxsplit=1) for line in lines] == [
         [entry["name"], entry["title"]] for entry in entries
     ]
+
+
+def test_without_a_kind_the_kinds_are_listed(cli: Run) -> None:
+    assert [entry["name"] for entry in sysid_bench.list_()] == list(KINDS)
+    done = cli("list")
+    assert done.returncode == 0
+    assert [line.split()[0] for line in done.stdout.splitlines()] == list(KINDS)

@@ -67,6 +67,10 @@ RUNS = {
 }
 MODELS = {
     "crosscheck pandda": "'panda'",
+    "crosscheck pand.sdf": "its suffix is not of a model file: give a URDF or MJCF file",
+    "basis ur5.xacro": "or the robot 'ur5'",
+    "bsis ur5": "No verb is called 'bsis'. Did you mean 'basis'?",
+    "init lg": "Did you mean 'log'?",
     "show wsl": "'wls'",
     "frames ur5 --at elbow_joint": "--at",
     "frames ur5 --at elbow=0.1": "elbow_joint",
@@ -79,6 +83,9 @@ SIMULATED = {
     "--simulate --task termnal": "'terminal'",
     "--simulate --noise tua=1%": "'tau'",
     "--simulate --noise tau": "--noise 'tau=0.5 %",
+    "--simulate --noise tau=5": "has no unit; write one of N m, Nm, N·m, mN m, N, kN, %.",
+    "--simulate --noise q=1e-4": "has no unit; write one of rad, mrad, deg",
+    "--simulate --estimator SDP": "Did you mean 'lmi'?",
     "--simulate --model-out a.xml": "*.urdf",
     "--simulate --payload '{ mass = '": "TOML",
     "--simulate --contacts detec": "10 s to 25 s",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid_bench.experiments.recorded.left_out_parts import _disagreement, _row_mass
+from sysid_bench.experiments.recorded.payload import _disagreement, _row_mass
 from sysid_bench.types import Factor
 
 

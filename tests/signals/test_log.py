@@ -92,6 +92,18 @@ def test_units_gains_ratios_and_offsets(world: World, log: Recorded) -> None:
     world.same(got, log)
 
 
+@pytest.mark.parametrize("ratio", [1.0, -8.0])
+def test_turns_of_an_encoder_are_added_again(world: World, log: Recorded, ratio: float) -> None:
+    """Of hinges; a slide stays as it is."""
+    shown = log.q * ratio
+    shown[:, ::2] %= 2 * np.pi
+    q = {"unwrap": True, "ratio": ratio, "offset": 0.5}
+    got = world.read(replace(log, q=shown), v=None, q=q).recording.q - 0.5
+    turns = (got[:, [joint.qadr for joint in world.robot.joints]] - log.q) * ratio / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns[:1]) * np.ones(turns.shape), atol=1e-9)
+    np.testing.assert_allclose(turns[:, 1], 0.0, atol=1e-9)
+
+
 def test_a_transmission_keeps_the_power(world: World, log: Recorded) -> None:
     G = np.array([[0.5, 0.0, 0.0], [-0.2, 1.0, 0.3], [0.1, 0.4, -2.0]])
     motor = replace(

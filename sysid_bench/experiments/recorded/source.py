@@ -12,8 +12,9 @@ from sysid_bench.evaluation.score import base_parameters, data_figures, score_re
 from sysid_bench.evaluation.torque_errors import known_rms, loaded_joints, row_rms
 from sysid_bench.excitation.limit_margins import Margins, limit_fields, limit_margins
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.recorded.left_out_parts import TermSelection, payload_mass
+from sysid_bench.experiments.recorded.left_out_parts import TermSelection
 from sysid_bench.experiments.recorded.model_prior import ModelPrior
+from sysid_bench.experiments.recorded.payload import payload_mass
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_torque
 from sysid_bench.experiments.recorded.process_log import ProcessedLog
 from sysid_bench.identifiability.base_expressions import (
