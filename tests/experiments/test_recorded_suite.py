@@ -1,8 +1,8 @@
 """Recordings as a suite: the same numbers as `identify --log`, one row per cell, always."""
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-import shutil
 from pathlib import Path
 
 import numpy as np
