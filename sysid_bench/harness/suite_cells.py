@@ -201,8 +201,8 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         choices["prior"].append((normal_prior(prior), text, text))
     for entry, source in suite.robots:
         manifest, base = names.robot(source, suite.folder), BASES[entry.free_base]
-        # The stem of a file is no name: beside a robot that has it the path is the label.
-        is_stem = getattr(manifest, "manifest_file", source) is None and ":" not in manifest.name
+        # The stem of one's own file is no name: beside a robot that has it the path is the label.
+        is_stem = _is_path(names, suite, source) and getattr(manifest, "manifest_file", 1) is None
         name = source if is_stem and manifest.name in robots() else manifest.name
         sensor = "" if entry.sensor is None else f" @ {entry.sensor}"
         key = _robot_key(source, entry.free_base, entry.sensor)

@@ -8,36 +8,41 @@ from typing import Any
 
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.input_files import file_hash, is_file
+from sysid_bench.input_files import file_hash
 from sysid_bench.models.data_sets import SCHEME, find_motion
 from sysid_bench.signals.log_description import log_description, read_keys
 
 
 def content_of(written: str | Mapping[str, Any], folder: Path) -> dict[str, str]:
     """Return path as written -> 16 hex digits of its content, for a motion file, and for a log as a
-    suite names it; without those that are not here, whose cells say so.
-
-    Of a data set counts what it states of its files, which need not be here.
-    """
+    suite names it; without those that are not here, whose cells say so."""
     use = written if isinstance(written, str) else str(written.get("use", ""))
-    parts: list[Any] = []
+    found = {}
     with suppress(SysidBenchError, OSError):
-        if use.startswith(SCHEME):
-            found, motion = find_motion(use, folder)
-            stated = found.described
-            parts = [stated.files_hash, stated.robot, stated.log, stated.motions[motion]]
-        elif use.endswith(".toml"):
-            keys, _ = read_keys(use, folder)
-            parts = [_without_files(keys)]
-        elif use and is_file(folder / use):
-            return {use: _hash(folder / use)}
-        if not (parts and use.startswith(SCHEME)):
-            # A table of a suite may name another file; `$NAME/run.csv` is one below a variable.
-            parts += [_hash(file) for file in log_description(written, folder).files]
-        file = "" if isinstance(written, str) else written.get("file")
-        paths = [*filter(None, [use]), *([file] if isinstance(file, str) and file else [])]
-        return dict.fromkeys(paths, canonical_hash(parts)[:16])
-    return {}
+        if use:
+            found[use] = _content(use, folder)
+    # A table of a suite may name another file; `$NAME/run.csv` is one below a variable.
+    file = None if isinstance(written, str) else written.get("file")
+    if isinstance(file, str):
+        with suppress(SysidBenchError, OSError):
+            hashes = [_hash(one) for one in log_description(written, folder).files]
+            found[file] = canonical_hash(hashes)[:16]
+    return found
+
+
+def _content(use: str, folder: Path) -> str:
+    """Hash of a motion of a data set, a description with its recordings, or a file."""
+    if use.startswith(SCHEME):
+        found, motion = find_motion(use, folder)
+        stated = found.described  # what it states of its files, which need not be here
+        parts = [stated.files_hash, stated.robot, stated.log, stated.motions[motion]]
+    elif use.endswith(".toml"):
+        keys, _ = read_keys(use, folder)
+        files = log_description(use, folder).files
+        parts = [_without_files(keys), *(_hash(file) for file in files)]
+    else:
+        return _hash(folder / use)
+    return canonical_hash(parts)[:16]
 
 
 def _without_files(keys: Any) -> Any:

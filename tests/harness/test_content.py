@@ -208,6 +208,21 @@ def test_recordings_count_by_their_content(folder: Path) -> None:
     assert ids("run.toml") != first
 
 
+def test_a_file_in_place_of_that_of_a_description_counts_by_itself(folder: Path) -> None:
+    def ids() -> list[str]:
+        test = '{ use = "run.toml", file = "later.csv", name = "later" }'
+        text = RECORDED.replace('["{}"]\ntest = ["{}"]', f'["run.toml"]\ntest = [{test}]')
+        return [cell.id for cell in planned(folder, text).cells]
+
+    (folder / "run.toml").write_text(LOG.format("data.csv"))
+    seen = set()
+    for train, test in (("1", "1"), ("2", "1"), ("1", "2"), ("2", "2")):
+        (folder / "data.csv").write_text(f"1,2,3,{train}\n" * 9)
+        (folder / "later.csv").write_text(f"1,2,3,{test}\n" * 9)
+        seen |= {*ids()}
+    assert len(seen) == 4
+
+
 def test_a_data_set_counts_before_it_is_fetched(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
