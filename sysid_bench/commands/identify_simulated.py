@@ -26,7 +26,12 @@ from sysid_bench.commands.result import OMIT_NONE, file_text, value_text
 from sysid_bench.commands.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.commands.task_terms import check_terms
 from sysid_bench.commands.values import check_seed
-from sysid_bench.commands.write_model import check_files, write_model
+from sysid_bench.commands.write_model import (
+    check_files,
+    check_output_files,
+    format_of,
+    write_model,
+)
 from sysid_bench.errors import ModelError, WriteError
 from sysid_bench.evaluation.feasible_body import feasible_body
 from sysid_bench.experiments.experiment_data import ExperimentData
@@ -134,6 +139,9 @@ def identify_simulated(request: Identify) -> SimulatedResult:
     loaded, spec = _robot(request, _specification(request))
     robot, (model_out, json_out, _) = loaded.robot, request.files
     check_files(robot, request.task, model_out, json_out)
+    other = model_out is not None and format_of(model_out) != robot.format
+    beside = model_out.with_suffix(".toml") if model_out is not None and other else None
+    check_output_files(request.files, beside, [])
     # As in a suite: a robot on which the engines differ makes no data.
     if not loaded.check.ok():
         raise ModelError(f"{robot.name}: {loaded.check.reason_text()}")
@@ -148,7 +156,13 @@ def identify_simulated(request: Identify) -> SimulatedResult:
             write_model(robot, request.task, estimate, prepared.problem, model_out, whole)
         except ModelError as error:
             raise WriteError(str(error), replace(result, model_out=None)) from error
-    return result
+    if beside is None:
+        return result
+    note = (
+        f"{model_out} has bodies, joints and friction, without shapes and actuators; what its "
+        f"format has no place for stands in {beside}, which is the file to load"
+    )
+    return replace(result, warnings=[*result.warnings, note])
 
 
 def _estimator(request: Identify) -> str:

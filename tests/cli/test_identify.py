@@ -215,7 +215,7 @@ def test_least_squares_says_nothing_about_what_it_cannot_identify(name: str) -> 
 def test_targets_are_refused_before_anything_runs(tmp_path: Path) -> None:
     source = named_robot("ur5").manifest.path
     for target, task, error in (
-        (tmp_path / "a.xml", "link", UsageError),
+        (tmp_path / "a.txt", "link", UsageError),
         (tmp_path / "nowhere" / "a.urdf", "link", UsageError),
         (source, "link", UsageError),
         (tmp_path / "a.urdf", "payload", UnsupportedError),

@@ -51,7 +51,7 @@ from sysid_bench.apps.actuators.written_model import (
 from sysid_bench.commands.identify import WORSE, Identify
 from sysid_bench.commands.identify_result import REPORTED
 from sysid_bench.commands.result import file_text
-from sysid_bench.commands.write_model import check_files, check_output_files
+from sysid_bench.commands.write_model import check_files, check_output_files, format_of
 from sysid_bench.diagnosis.finding import WARNING, Finding
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.evaluation.baselines import FILE, ZERO, ZERO_TORQUE, Baselines
@@ -160,6 +160,11 @@ def _check_targets(request: Identify, robot: RobotModel) -> Path | None:
     model_out, json_out, _ = request.files
     check_files(robot, request.task, model_out, json_out)
     reason = missing_simulation(robot)
+    if model_out is not None and format_of(model_out) != robot.format:
+        raise UsageError(
+            f"{str(model_out)!r}: the task 'actuators' writes {robot.manifest.path.name} in its "
+            "own format, with the drives; name it with that suffix."
+        )
     if model_out is not None and reason:
         raise UnsupportedError(
             f"--model-out: {reason}, so that a written file could not be checked; take the values "
