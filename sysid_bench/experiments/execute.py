@@ -239,6 +239,8 @@ def _robot_fields(loaded: LoadedRobot, rule: Mapping[str, Any]) -> Row:
         "nv": loaded.robot.nv,
         "free_base": loaded.robot.floating,
     }
+    if check.engine != "pinocchio":
+        fields["second_engine"] = check.engine
     return dict(plain(fields))
 
 

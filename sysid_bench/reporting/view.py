@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from sysid_bench.errors import UsageError
+from sysid_bench.extras import missing
 
 
 def view(path: Path, web: bool = False) -> subprocess.Popen[bytes]:
@@ -35,4 +36,4 @@ def rerun_tool() -> Path:
     for name in ("rerun", "rerun.exe", "Scripts/rerun.exe"):
         if (folder / name).is_file():
             return folder / name
-    raise UsageError(f"The program rerun is missing next to {sys.executable!r}; install rerun-sdk.")
+    raise missing("rerun", f"The viewer, a program next to {sys.executable!r},")
