@@ -19,6 +19,7 @@ from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.model_record import ModelRecord, model_record
 from sysid_bench.models.payload import Payload, parse_payload
+from sysid_bench.models.sources import check_model_file
 
 if TYPE_CHECKING:
     from sysid_bench.experiments.tasks.task import TaskDefinition
@@ -67,7 +68,10 @@ def default_names(robots_dir: Path | None = None) -> Names:
     def robot(source: str, folder: Path | None) -> Manifest | CheckedName:
         if source.startswith(SCHEME):  # of a set that need not be here yet
             return CheckedName(find_dataset(source.removeprefix(SCHEME), folder).described.name)
-        return find_manifest(source, robots_dir, folder)
+        manifest = find_manifest(source, robots_dir, folder)
+        if manifest.text is None:
+            check_model_file(manifest.path)
+        return manifest
 
     def sensor(source: str, folder: Path | None, text: str) -> object:
         from sysid_bench.models.load import load_robot  # loads MuJoCo
