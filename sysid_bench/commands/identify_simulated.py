@@ -162,7 +162,7 @@ def identify_simulated(request: Identify) -> SimulatedResult:
         }
         try:
             bound = write_model(
-                robot, request.task, estimate, prepared.problem, model_out, whole, std
+                robot, request.task, estimate, prepared.problem, model_out, whole=whole, std=std
             )
         except ModelError as error:
             raise WriteError(str(error), replace(result, model_out=None)) from error
