@@ -257,11 +257,10 @@ def _dropped_texts(problem: Problem) -> list[str]:
 def _failure(row: Mapping[str, Any], against: Baselines, has_file: bool) -> str | None:
     """Reason for which an answer is worse than none, with what to do; None where it is not. A
     simulated robot has no file (`has_file`) but a prior."""
-    error, beaten = row.get("torque_error"), row.get("beaten_by")
-    if error is None or not beaten:
+    error, names = row.get("torque_error"), against.beaten_by(row.get("torque_error"))
+    if error is None or not names:
         return None
-    names = beaten.split(", ")
-    texts = " and ".join(f"{WORDS[name]} ({against.errors[name]:.4g})" for name in names)
+    texts = against.text(names)
     advice = "do not use it for other motions"
     if names[0] in (FILE, FILE_FRICTION) and not has_file:
         texts = texts.replace("the model file", "the prior")

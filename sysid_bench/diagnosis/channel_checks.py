@@ -187,7 +187,7 @@ def _copied_positions(evidence: DiagnoseInput, q: Array, v: Array) -> Iterator[F
 
 def _copied_derivatives(evidence: DiagnoseInput) -> Iterator[Finding]:
     """Yield torques that are all their joints' accelerations, or velocities, times one factor,
-    unless those of the model file are."""
+    unless those of the model file are nothing but accelerations, as of rotors."""
     tau, (motion, _) = evidence.torque, evidence.fit_samples
     model = evidence.regressor(motion) @ evidence.file_parameters.ravel()
     for word, x, sparse in (
@@ -198,28 +198,34 @@ def _copied_derivatives(evidence: DiagnoseInput) -> Iterator[Finding]:
         blind = evidence.placeholder != "" and moving.sum() == 1
         if not moving.any() or blind or not _is_common(x[:, moving], tau[:, moving]):
             continue
-        if not _is_common(sparse[:, moving], model[:, moving]):
+        if not (_slopes(sparse[:, moving], model[:, moving])[0] > NEAR).all():
             text = f"the torques of all joints are their {word} times one factor"
             edit = "tau = { columns = [...] }: the columns of measured torques"
             yield Finding("copied", ERROR, text, evidence.names(moving), edit=edit)
             return
 
 
-def _is_common(a: Array, tau: Array) -> bool:
-    """True where each column of tau (N, k) is that of a (N, k) times the same factor, but for an
+def _is_common(x: Array, tau: Array) -> bool:
+    """True where each column of tau (N, k) is that of x (N, k) times the same factor, but for an
     offset."""
-    a, tau = a - a.mean(axis=0), tau - tau.mean(axis=0)
-    size, product = (a**2).sum(axis=0), (a * tau).sum(axis=0)
-    power = size * (tau**2).sum(axis=0)
-    if not (power > 0).all():
-        return False
-    correlation = np.abs(product) / np.sqrt(power)
-    factor = product / size
+    correlation, factor = _slopes(x, tau)
     middle = float(np.median(factor))
     least = LEAST if len(factor) >= MANY_JOINTS else NEAR
     return bool(
         (correlation > least).all() and (np.abs(factor - middle) < EQUAL * abs(middle)).all()
     )
+
+
+def _slopes(x: Array, tau: Array) -> tuple[Array, Array]:
+    """Sizes (k,) of the correlations of columns x and tau (N, k), and slopes (k,) of tau on x; 0
+    where either is constant."""
+    x, tau = x - x.mean(axis=0), tau - tau.mean(axis=0)
+    size, product = (x**2).sum(axis=0), (x * tau).sum(axis=0)
+    power = size * (tau**2).sum(axis=0)
+    valid = power > 0
+    correlation = np.abs(product) / np.sqrt(np.where(valid, power, 1.0))
+    slope = product / np.where(valid, size, 1.0)
+    return np.where(valid, correlation, 0.0), np.where(valid, slope, 0.0)
 
 
 def _unit(x: Array) -> Array:

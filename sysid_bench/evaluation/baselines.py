@@ -5,7 +5,7 @@ fits joint terms alone; trivial are zero torque and the mean torque of the train
 what no model of the state can be much better than: the training torque itself, played again.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -59,6 +59,10 @@ class Baselines:
             "torque_error_mean": self.errors.get(MEAN),
             "torque_error_floor": self.floor,
         }
+
+    def text(self, names: Sequence[str]) -> str:
+        """Return some of them in words, with their errors."""
+        return " and ".join(f"{WORDS[name]} ({self.errors[name]:.4g})" for name in names)
 
     def beaten_by(self, error: float | None) -> list[str]:
         """Return the names of the baselines with a smaller error, the null model first."""

@@ -198,7 +198,7 @@ class _Motion:
             found.append(Block(self.columns(b), "acceleration", "derivative of the velocities"))
         if not positions:
             return self._by_model(robot, joints)
-        torques = self._torques(robot, joints, found)
+        _, torques = self._torques(robot, joints, found)
         if not torques and not self.second:
             doubt = f"{DOUBT}{found[0].reason}, or velocities and accelerations: no torque tells"
             found[0] = replace(found[0], reason=doubt)
@@ -224,33 +224,22 @@ class _Motion:
     def _by_model(self, robot: RobotModel, joints: Sequence[str]) -> list[Block]:
         """Positions without any derivative: those along which the model explains another block."""
         best: tuple[float, list[Block]] = (0.0, [])
-        windows = list(self._windows(frozenset()))
-        for q in windows[:: max(1, self.k)] if len(windows) < 40 else []:
-            block = Block(
-                self.columns(q), "position", "the model's torque along it follows another"
-            )
-            torques = self._torques(robot, joints, [block])
-            score = self._score(robot, joints, block, torques)
-            if score > best[0] + 0.1:
-                best = score, [block, *torques]
+        for q in list(self._windows(frozenset()))[:: max(1, self.k)][:_SEEDS]:
+            reason = "the model's torque along it follows another"
+            block = Block(self.columns(q), "position", reason)
+            score, torques = self._torques(robot, joints, [block])
+            best = max(best, (score, [block, *torques]), key=lambda one: one[0])
         return best[1]
-
-    def _score(
-        self, robot: RobotModel, joints: Sequence[str], q: Block, torques: Sequence[Block]
-    ) -> float:
-        if not torques:
-            return 0.0
-        fit = TorqueFit.of(self.X[:, q.columns], self.t, robot, joints)
-        return 0.0 if fit is None else fit.follows(self.X[:, torques[0].columns])[0]
 
     def _torques(
         self, robot: RobotModel, joints: Sequence[str], motion: Sequence[Block]
-    ) -> list[Block]:
-        """Blocks that follow the model's torque, that of the measured one first."""
+    ) -> tuple[float, list[Block]]:
+        """How well the first one of the blocks that follow the model's torque does, and these, the
+        measured one first."""
         fit = TorqueFit.of(self.X[:, motion[0].columns], self.t, robot, joints)
         taken = frozenset(column for block in motion for column in block.columns)
         if fit is None:
-            return []
+            return 0.0, []
         scores = {a: fit.follows(self.X[:, self.columns(a)]) for a in self._windows(taken)}
         found: dict[int, tuple[float, Array, float]] = {}
         for a in sorted(scores, key=lambda a: -scores[a][0]):
@@ -278,7 +267,7 @@ class _Motion:
             elif len(ordered) > 1:
                 reason = f"{DOUBT}{reason}, noisier than {self._label(ordered[1])}: measured"
             blocks.append(Block(self.columns(a), role, reason))
-        return blocks
+        return max((score for score, *_ in found.values()), default=0.0), blocks
 
 
 def _pairs(

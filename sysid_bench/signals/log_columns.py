@@ -85,10 +85,11 @@ def find_columns(tables: Tables, robot: RobotModel, joints: Sequence[str]) -> Fo
     told = [one for one in tables if column_names.is_command_file(Path(one[0]).stem)]
     told = told if len(told) < len(tables) else []
     measured = [one for one in tables if one not in told]
+    measured = [one for one in measured if _holds_signals(*one)] or measured
     bare = len(measured) == 1 and not measured[0][1].names
     signals: dict[str, Columns] = {}
     for file, table in told:
-        if not words_of(Path(file).stem) & (column_names.WORDS["v"] | column_names.WORDS["tau"]):
+        if table.names or words_of(Path(file).stem) & column_names.WORDS["q"]:
             signals["q_des"] = _commands(file, table, joints)
     files = tuple(name for name, _ in measured)
     if bare:
@@ -109,7 +110,15 @@ def find_columns(tables: Tables, robot: RobotModel, joints: Sequence[str]) -> Fo
     if not files:
         unused = [name for name, _ in tables if all(x.file != name for x in found.values())]
     unused = [name for name in unused if [name] not in gains.values()]
+    said += tuple(f"{name}: gain: by its name" for name in gains)
     return Found(found, files, gains, tuple(unused), (*said, *_explained(found, unused)))
+
+
+def _holds_signals(file: str, table: LogTable) -> bool:
+    """Test whether a file may hold a signal, by its name or those of its columns."""
+    names = [Path(file).stem, *table.names]
+    every = not table.names or table.values.shape[1] == 1
+    return every or any(is_signal(name, signal) for name in names for signal in SIGNALS)
 
 
 def _check_scale(
@@ -139,7 +148,8 @@ def _explained(found: Mapping[str, Columns], unused: Sequence[str]) -> Iterator[
         role = {"q": "position", "v": "velocity", "time": "time", "q_des": "command"}.get(signal)
         role = role or ("current" if part.is_current else "torque")
         also = ", and by its numbers the derivative of the positions"
-        is_derivative = signal == "v" and is_rate(found["q"].values, part.values)
+        is_derivative = {"q"} < found.keys() and signal == "v"
+        is_derivative = is_derivative and is_rate(found["q"].values, part.values)
         yield f"{label}: {role}: by its name{also * is_derivative}"
     roles: dict[str, list[str]] = defaultdict(list)
     for name in unused:

@@ -1,5 +1,6 @@
 """Law of init: what it writes is accepted by the next command, and nothing is written over."""
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -332,7 +333,40 @@ def test_recordings_of_commands_are_those_of_actuators(
         assert "# tau = { pd = { q_des = " in text
         return
     assert "--task actuators" in result.next
+    assert "kp: gain: by its name" in text
     pd = tomllib.loads(text)["tau"]["pd"]
     assert pd["kp"] == [20, 20, 40] * 4
     assert pd["kd"] == [1, 1, 2] * 4
     assert pd["q_des"]["columns"] == ["q_des"]
+
+
+@pytest.mark.data
+def test_a_folder_of_servos_is_described(data_folder: Path, tmp_path: Path) -> None:
+    folder = data_folder / "so101_sage" / "multisine"
+    model = data_folder / "robots" / "robotstudio_so101__so101.xml"
+    result = init_log(sorted(folder.glob("*.csv")), model, tmp_path / "a.toml")
+    assert len(result.joints) == 6
+    assert "write kp and kd" in result.doubts[0]
+    text = (tmp_path / "a.toml").read_text()
+    assert "never negative" in text
+    assert 'resample = "previous"' in text
+    text = re.sub(r"# (tau = .*)kp = \[\], kd = \[\]", r"\1kp = 17.8, kd = 0.0", text)
+    (tmp_path / "a.toml").write_text(text)
+    log = read_log(read_description(tmp_path / "a.toml"), load_robot(find_manifest(str(model))))
+    assert log.commands is not None
+    assert len(log.commands) == 6000
+
+
+@pytest.mark.data
+def test_files_of_signals_without_headers_are_described(data_folder: Path, tmp_path: Path) -> None:
+    folder = data_folder / "ur5_2013" / "Movement_No6_Acc_slow_Verify_Model"
+    result = init_log(sorted(folder.glob("*.csv")), "ur5", tmp_path / "a.toml")
+    text = (tmp_path / "a.toml").read_text()
+    keys = tomllib.loads(text)
+    assert [keys[s]["time"]["column"] for s in ("q", "v", "tau")] == [1, 1, 1]
+    assert [keys[s]["columns"] for s in ("q", "v", "tau")] == [list(range(2, 8))] * 3
+    assert keys["tau"]["unit"] == "A"
+    assert len(result.unused) == 2
+    (tmp_path / "a.toml").write_text(text.replace('unit = "A"', 'unit = "A", gain = 10.6'))
+    log = read_log(read_description(tmp_path / "a.toml"), named_robot("ur5"))
+    assert [finding for finding in log.findings if finding.contradiction] == []

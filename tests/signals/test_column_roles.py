@@ -127,3 +127,43 @@ def test_currents_by_the_name_of_torques_are_found(scale: float, seed: int) -> N
     assert ("per N m: a current" in said) == (scale != 1.0)
     size = scale_contradiction(log.q, np.abs(log.tau), log.t, robot, robot.rows)
     assert "without its sign" in size
+
+
+def test_columns_of_one_joint_after_the_other_are_recognised() -> None:
+    robot = named_robot("ur5")
+    log = recorded(robot, period=2.0)
+    joints = [x for j in range(6) for x in (log.q[:, j], log.v[:, j], log.tau[:, j])]
+    found = explain_columns(np.column_stack([log.t, *joints]), robot, robot.rows)
+    roles = {block.role: block.columns for block in found}
+    for first, role in enumerate(("position", "velocity", "torque"), start=1):
+        assert roles[role] == tuple(range(first, 19, 3))
+    assert roles["time"] == (0,)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_positions_without_rates_are_those_of_the_model_and_rates_are_none(seed: int) -> None:
+    robot = named_robot("ur5")
+    log = recorded(robot, seed, period=2.0)
+    found = explain_columns(np.hstack([log.tau, log.q, log.t[:, None]]), robot, robot.rows)
+    roles = {block.role: block.columns for block in found}
+    assert roles["position"] == tuple(range(6, 12))
+    assert roles.get("torque", roles.get("current")) == tuple(range(6))
+    found = explain_columns(np.hstack([log.v, log.tau]), robot, robot.rows)
+    assert {block.role for block in found} == {"unexplained"}
+
+
+@pytest.mark.long
+@pytest.mark.data
+def test_no_torque_of_a_known_robot_is_taken_for_a_current(data_folder: Path) -> None:
+    tried = 0
+    for file in sorted((data_folder / "robots").glob("*.xml")):
+        robot = load_robot(file)
+        scalar = all(joint.kind in ("hinge", "slide") for joint in robot.joints)
+        if robot.nv > 14 or robot.coupling is not None or not scalar:
+            continue
+        log = recorded(robot, period=4.0)
+        friction = 0.15 * log.tau.std(axis=0) * np.tanh(log.v / 0.05)
+        said = scale_contradiction(log.q, log.tau + friction, log.t, robot, log.joints)
+        assert said == "", file.name
+        tried += 1
+    assert tried >= 5

@@ -167,17 +167,16 @@ def baseline_scores(against: Baselines, scores: Mapping[str, Any]) -> dict[str, 
 def judged_result(result: ActuatorsResult, against: Baselines, accepted: bool) -> ActuatorsResult:
     """Return the result with the reason why it is worse than none, where it is; `accepted`: it may
     pass."""
-    names = list(filter(None, result.scores["beaten_by"].split(", ")))
-    if not names:
-        return result
-    texts = " and ".join(f"{WORDS[name]} ({against.errors[name]:.4g})" for name in names)
     error, what = result.scores["rollout_error"], "rad (m), of simulated positions"
     if error is None:
         error, what = result.scores["torque_error"], "of the torque"
+    if not (names := against.beaten_by(error)):
+        return result
     failure = (
         f"error {error:.4g} {what} on samples that were not fitted: the answer errs more than "
-        f"{texts}. Check kp, kd, signs and times of the recording (sysid-bench diagnose) and the "
-        "links of the model, or record a richer motion (sysid-bench excite --task actuators)"
+        f"{against.text(names)}. Check kp, kd, signs and times of the recording (sysid-bench "
+        "diagnose) and the model's links, or record a richer motion (sysid-bench excite --task "
+        "actuators)"
     )
     warnings = [failure, *result.warnings]
     return replace(result, failure=None if accepted else failure, warnings=warnings)
