@@ -153,10 +153,11 @@ def test_a_structural_map_is_the_same_every_time() -> None:
 
 def test_coefficients_of_rounded_angles_are_not_printed() -> None:
     """1.5708 instead of pi / 2 turns an axis by 3.7e-6, and leaves coefficients of that size."""
+    body = '<joint axis="0 0 1"/><geom size=".1" mass="1" pos="0.1 0 0"/>'
     arm = (
-        '<mujoco><compiler angle="radian"/><worldbody><body><joint axis="0 0 1"/>'
-        '<geom size=".1" mass="1"/><body pos="0.3 0 0.2" euler="{angle} 0 0">'
-        '<joint axis="0 0 1"/><geom size=".1" mass="1" pos="0.1 0 0"/></body></body>'
+        f'<mujoco><compiler angle="radian"/><worldbody><body>{body}'
+        f'<body pos="0.3 0 0.2" euler="{{angle}} 0 0">{body}'
+        f'<body pos="0.3 0.1 0.2" euler="{{angle}} 0 0">{body}</body></body></body>'
         "</worldbody></mujoco>"
     )
     robots = [robot_of(arm.format(angle=angle)) for angle in (repr(np.pi / 2), "1.5708")]
