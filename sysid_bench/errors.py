@@ -36,23 +36,24 @@ LISTINGS: Final = {
 }
 """Command that lists the names of a kind, as an addition to a message."""
 
-MEANT: Final[Mapping[str, Mapping[str, str]]] = {
-    "estimator": {
-        **dict.fromkeys(("sdp", "semidefinite", "feasible", "cvxpy", "mosek"), "lmi"),
-        **dict.fromkeys(("ls", "lsq", "lstsq", "least-squares", "idim-ls", "idim"), "ols"),
-        **dict.fromkeys(("weighted-least-squares", "gls", "idim-wls"), "wls"),
-        **dict.fromkeys(("pinv", "pseudo-inverse", "svd"), "min-norm"),
-        **dict.fromkeys(("map", "bayes", "bayesian"), "a-priori"),
-        **dict.fromkeys(("tikhonov", "regularised", "regularized"), "ridge"),
-        **dict.fromkeys(("null", "nominal", "friction"), "file-friction"),
-        **dict.fromkeys(("cad", "file", "model"), "prior"),
-        **dict.fromkeys(("mle", "maximum-likelihood"), "ml"),
-        **dict.fromkeys(("oe", "output-error"), "cloe"),
-        **dict.fromkeys(("bregman", "geometric"), "entropic"),
-        **dict.fromkeys(("bisquare", "biweight"), "tukey"),
-        "kf": "kalman",
-        "m-estimator": "huber",
-    }
+_WORDS: Final = {
+    "lmi": "sdp semidefinite feasible cvxpy",
+    "ols": "ls lsq lstsq least-squares idim-ls",
+    "wls": "weighted-least-squares gls idim-wls",
+    "min-norm": "pinv pseudo-inverse svd",
+    "a-priori": "map bayes",
+    "ridge": "tikhonov",
+    "file-friction": "null nominal friction",
+    "prior": "cad file model",
+    "ml": "mle maximum-likelihood",
+    "cloe": "oe output-error",
+    "entropic": "bregman geometric",
+    "tukey": "bisquare",
+    "kalman": "kf",
+    "huber": "m-estimator",
+}
+MEANT: Final = {
+    "estimator": {word: name for name, words in _WORDS.items() for word in words.split()}
 }
 """Words of the literature and the names that they mean here, which spelling does not lead to."""
 

@@ -49,7 +49,8 @@ _ACCURACY: Final = (
     Metric("torque_error_floor", "Relative error of the training torque, played again",
            better="lower", needs=("held-out",), formula="where a test repeats the training motion"),
     Metric("beaten_by", "Baselines with a smaller error", text=True, needs=("held-out",),
-           formula="file-friction (file: values of the model file), mean-torque, zero-torque"),
+           formula="file-friction (file: values of the model file), mean-torque, zero-torque; of "
+           "positions file, position-command"),
     _error("torque_error_moving", "Relative held-out torque error of moving joints",
            "the same over rows with |v| of the joint at least 10 % of its RMS"),
     _error("torque_error_weighted", "Relative held-out torque error by torque",
@@ -61,6 +62,10 @@ _ACCURACY: Final = (
     _shown_in(_error("rollout_error", "Error of simulated positions",
                      "RMS over judged samples and joints under recorded commands; row in rad, m"),
               "mrad|mm", 1000.0),
+    Metric("rollout_error_null", "Error of positions simulated with the file's values", "rad|m",
+           "lower", needs=("held-out",), formula="armature and friction of the model file"),
+    Metric("rollout_error_command", "Error of the commanded positions", "rad|m", "lower",
+           needs=("held-out",), formula="RMS of commanded minus recorded positions"),
     _error("parameter_error", "Relative parameter error in torque",
            "sqrt(d' W'W d) / |W beta*|, d = beta - beta*, W of the held-out rows: the error of the "
            "parameters as the torque that it amounts to", truth=True),

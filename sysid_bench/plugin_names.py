@@ -98,6 +98,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "numpy": "sysid_bench.signals.log_readers.arrays:NumpyArrays",
             "parquet": "sysid_bench.signals.log_readers.tables:Parquet",
             "rerun": "sysid_bench.signals.log_readers.messages:RerunRecording",
+            "rosbag1": "sysid_bench.signals.log_readers.messages:Rosbag1",
             "rosbag2": "sysid_bench.signals.log_readers.messages:Rosbag2",
         },
         "executor": {

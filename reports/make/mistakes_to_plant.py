@@ -114,13 +114,15 @@ def _rate(factor: float) -> Change:
 
 
 def _derivative(s: Signals, order: int) -> Array:
-    """Derivatives (N, n) of the positions, from splines on an even grid."""
+    """Derivatives (N, n) of the positions, up to 10 Hz and a tenth of the rate."""
     t = np.maximum.accumulate(times(s))
-    rate = len(t) / (t[-1] - t[0])
-    low_pass, x = Butterworth(3, 0.1 * rate), s.q
+    grid = np.linspace(t[0], t[-1], len(t))
+    rate = (len(t) - 1) / (t[-1] - t[0])
+    low_pass = Butterworth(3, min(10.0, 0.1 * rate))
+    x = np.column_stack([np.interp(grid, t, column) for column in s.q.T])
     for _ in range(order):
         x = derivative(low_pass, x, rate)
-    return x
+    return np.column_stack([np.interp(t, grid, column) for column in x.T])
 
 
 def _velocity(s: Signals) -> Array:
@@ -147,6 +149,8 @@ def _currents(s: Signals, j: int, rng: np.random.Generator) -> Signals:
 
 def _wrapped(s: Signals, j: int, rng: np.random.Generator) -> Signals:
     """Positions within one turn that ends inside of the joint's range."""
+    if not s.hinges[j]:
+        return s
     q = s.q.copy()
     q[:, j] = np.where(q[:, j] < np.quantile(q[:, j], 0.3), q[:, j] + 2 * np.pi, q[:, j])
     return replace(s, q=q)

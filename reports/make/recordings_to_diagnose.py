@@ -23,7 +23,7 @@ from sysid_bench.package_folders import dataset_files
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription, read_description
-from sysid_bench.signals.log_samples import read_samples
+from sysid_bench.signals.log_samples import read_samples, scalar_kinds
 from sysid_bench.signals.log_source import read_time
 from sysid_bench.spatial import phi_of
 from sysid_bench.types import Array
@@ -32,9 +32,11 @@ from sysid_bench.types import Array
 @dataclass(frozen=True, eq=False)
 class Signals:
     """One recording in SI, joint side: t (N,), q, v, tau (N, n), and how its time is stated.
-    `gains` (n,): torque per unit of current, where the torque was recorded as one."""
+    `hinges` (n,): joints that turn; `gains` (n,): torque per unit of a recorded current.
+    """
 
     joints: tuple[str, ...]
+    hinges: tuple[bool, ...]
     t: Array
     q: Array
     v: Array | None
@@ -98,8 +100,11 @@ def _signals(log: LogDescription, robot: RobotModel) -> Signals:
     samples = raw.columns(keep)
     t = np.arange(len(raw)) / (log.rate or 1.0) if stamps is None else stamps
     gains = log.joint_values("tau.gain", log.tau.gain)[keep]
+    joints = tuple(log.joints[k] for k in keep)
+    kind_of = scalar_kinds(robot)
+    hinges = tuple(kind_of[joint] == "hinge" for joint in joints)
     return Signals(
-        tuple(log.joints[k] for k in keep), t, samples.q, samples.v, samples.tau,
+        joints, hinges, t, samples.q, samples.v, samples.tau,
         stamps is not None, log.rate or 0.0, gains if (gains != 1).any() else None,
     )  # fmt: skip
 
@@ -220,7 +225,8 @@ def _of_robot(robot: RobotModel, raw: Any) -> Signals:
     joints = [joint for joint in robot.joints if joint.kind in ("hinge", "slide")]
     columns = [robot.torque_rows.index(joint.dofs[0]) for joint in joints]
     return Signals(
-        tuple(joint.dofs[0] for joint in joints), raw.t, raw.q[:, [j.qadr for j in joints]],
+        tuple(joint.dofs[0] for joint in joints), tuple(joint.kind == "hinge" for joint in joints),
+        raw.t, raw.q[:, [j.qadr for j in joints]],
         None if raw.v is None else raw.v[:, [j.vadr for j in joints]], raw.tau[:, columns],
         False, raw.rate,
     )  # fmt: skip

@@ -86,7 +86,8 @@ class CrosscheckResult(Result):
 
     `gap`: max |Y - Y_pin| / max |Y_pin|, same parameter order and frames. `closure`: max |Y theta +
     armature a - tau_MuJoCo| / max |tau_MuJoCo|. `native_gap`: gap against Pinocchio's own parser,
-    None with `native_reason` where it does not apply.
+    None with `native_reason` where it does not apply. `near_degenerate`: directions that the rank
+    rule drops though they are no rounding; `rank_gap`: last kept over first dropped singular value.
     """
 
     robot: str
@@ -103,6 +104,7 @@ class CrosscheckResult(Result):
     native_reason: str | None = None
     base_parameters: int | None = None
     near_degenerate: int | None = None
+    rank_gap: float | None = None
     coupling: dict[str, Any] | None = None
     repairs: list[str]
 
@@ -110,10 +112,15 @@ class CrosscheckResult(Result):
         """Lines of what was measured; none for a model that could not be used."""
         if self.nv is None:
             return []
+        from sysid_bench.identifiability.base_map import BaseCount  # loaded by the measurement
+
         native = f"native: {self.native_reason}"  # against Pinocchio's own parser
         if self.native_gap is not None:
             native = f"native gap {self.native_gap:.1e}"
-        weak = f" ({self.near_degenerate} near-degenerate)" if self.near_degenerate else ""
+        weak = ""
+        if self.base_parameters is not None and self.near_degenerate is not None:
+            own = BaseCount(self.base_parameters, self.near_degenerate, self.rank_gap)
+            weak = own.dropped_text
         lines = [
             f"{self.robot}: {'agrees' if self.ok else 'DIFFERS'}  gap {self.gap:.1e}  "
             f"closure {self.closure:.1e}  {native}",
@@ -121,12 +128,14 @@ class CrosscheckResult(Result):
             f"{self.base_parameters} base parameters{weak}",
         ]
         if self.coupling is not None:
+            keys = ("coupled_base_parameters", "coupled_near_degenerate", "coupled_rank_gap")
+            of_loop = BaseCount(*(self.coupling[key] for key in keys)).dropped_text
             dependent = self.coupling["dependent"]
             names = ", ".join(dependent[:6]) + (", ..." if len(dependent) > 6 else "")
             lines.append(
                 f"  coupled, {len(dependent)} followers ({names}): gap {self.coupling['gap']:.1e}  "
                 f"closure {self.coupling['closure']:.1e}, "
-                f"{self.coupling['coupled_base_parameters']} base parameters"
+                f"{self.coupling['coupled_base_parameters']} base parameters{of_loop}"
             )
             lines += [f"  {self.coupling['note']}"] if self.coupling["note"] else []
         for repair in self.repairs:
@@ -174,9 +183,10 @@ def _measured(manifest: "Manifest", request: Crosscheck) -> CrosscheckResult:
     robot = load_robot(manifest, free_base=request.free_base)
     verdict = compare_engines(robot, request.samples)
     # Counted on the tree itself: coupled joints have fewer torque rows, reported beside.
-    rank, near_degenerate = structural_count(robot.without_coupling)
+    counted = structural_count(robot.without_coupling)
     coupling, check = None, verdict.coupling
     if robot.coupling is not None and check is not None:
+        of_loop = structural_count(robot)
         coupling = {
             "independent": list(robot.torque_rows),
             "dependent": [robot.rows[dof] for dof in robot.coupling.dependent],
@@ -185,7 +195,9 @@ def _measured(manifest: "Manifest", request: Crosscheck) -> CrosscheckResult:
             "jacobian": check.jacobian,
             "violation": check.violation,
             "note": check.note,
-            "coupled_base_parameters": structural_count(robot)[0],
+            "coupled_base_parameters": of_loop.rank,
+            "coupled_near_degenerate": of_loop.near_degenerate,
+            "coupled_rank_gap": of_loop.gap,
         }
     return CrosscheckResult(
         robot=robot.name,
@@ -200,8 +212,9 @@ def _measured(manifest: "Manifest", request: Crosscheck) -> CrosscheckResult:
         closure=verdict.closure,
         native_gap=verdict.native_gap,
         native_reason=verdict.native_reason,
-        base_parameters=rank,
-        near_degenerate=near_degenerate,
+        base_parameters=counted.rank,
+        near_degenerate=counted.near_degenerate,
+        rank_gap=counted.gap,
         coupling=coupling,
         repairs=list(robot.repairs),
     )

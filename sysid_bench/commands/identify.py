@@ -42,6 +42,8 @@ PathLike = str | Path
 LogLike = Any
 """Path of a description of a recording, its description, a data frame or a mapping of arrays."""
 
+WORSE: Final = "worse"
+"""Word of --accept for an answer that a baseline beats."""
 SIMULATION: Final = ("--simulate",)
 LOGS: Final = ("--log",)
 DRIVES: Final = ("--task actuators",)
@@ -264,6 +266,11 @@ class Identify(Request["IdentifyResult"]):
             free_base=self.free_base,
             **data,
         )
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Contradictions in logs that are accepted."""
+        return tuple(name for name in self.accept if name != WORSE)
 
     @property
     def files(self) -> tuple[Path | None, Path | None, Path | None]:

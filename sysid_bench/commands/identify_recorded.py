@@ -9,10 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.commands.diagnose import check_contradictions
-from sysid_bench.commands.identify import Identify
+from sysid_bench.commands.identify import WORSE, Identify
 from sysid_bench.commands.identify_result import (
     OF_CELLS,
-    WORSE,
     IdentifyResult,
     base_lines,
     cell_fields,
@@ -141,20 +140,18 @@ def identify_recorded(request: Identify) -> RecordedResult:
         check_files(load_robot(manifest), request.task, model_out, json_out)
     beside = None if model_out is None else model_out.with_suffix(".toml")
     check_output_files(request.files, beside, [*training, *tests.values()])
-    findings = tuple(name for name in request.accept if name != WORSE)
-    spec = _specification(request, training, tests, findings)
-    prepared = recorded_data(spec, manifest, Path())
+    prepared = recorded_data(_specification(request, training, tests), manifest, Path())
     source = prepared.source
     if not isinstance(source, RecordedSource):
         raise UnsupportedError(
             f"The task {request.task!r} has a way of its own to recordings; use it in a suite."
         )
-    contradictions = check_contradictions(source.recordings, findings)
+    contradictions = check_contradictions(source.recordings, request.findings)
     reason = source.prior.reason
     hint = f"The prior is absent: {reason}." if reason else ""
     estimate = solved(prepared, method, f"{name} on {manifest.name}", hint)
     assert estimate.beta is not None
-    fields = cell_fields(prepared, method, estimate, (*OF_CELLS, "rank_gap", "near_degenerate"))
+    fields = cell_fields(prepared, method, estimate, OF_CELLS)
     # Costs of the constraints that bind, for the estimator `lmi` and for written models.
     is_feasible = model_out is not None or name == "lmi"
     payload = _payload(request, prepared, method, estimate, fields["bodies"])
@@ -189,10 +186,7 @@ def _write_figure(figure: Path, prepared: ExperimentData[RecordedSource], beta: 
 
 
 def _specification(
-    request: Identify,
-    training: list[LogDescription],
-    tests: dict[str, LogDescription],
-    accept: tuple[str, ...],
+    request: Identify, training: list[LogDescription], tests: dict[str, LogDescription]
 ) -> ExperimentSpec:
     """Experiment as a suite with one [[log]] would have it."""
     written = {"filter": request.filter, "derivatives": request.derivatives}
@@ -204,7 +198,7 @@ def _specification(
         pipeline=request.pipeline_with_default(default_log_pipeline(signals)),
         log={
             "train": training, "test": tests, "moving": request.moving, "choose": request.choose,
-            "position_given": request.position_given, "accept": accept,
+            "position_given": request.position_given, "accept": request.findings,
             "feasible": request.feasible or TERMS_TOO,
         },
     )  # fmt: skip

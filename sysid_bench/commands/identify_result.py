@@ -27,6 +27,7 @@ from sysid_bench.identifiability.base_expressions import (
     expression,
     parameter_verdict,
 )
+from sysid_bench.identifiability.base_map import left_out_torque
 from sysid_bench.identification.estimators.bayesian import GuardedWLS
 from sysid_bench.identification.identify import fit_fields
 from sysid_bench.identification.identify import identify as estimate_parameters
@@ -36,16 +37,14 @@ from sysid_bench.types import Array, Body, Estimate, Problem
 from sysid_bench.words import INTERVAL_LIMITS
 
 REPORTED: Final = (
-    *("rank", "data_rank", "parameters", "condition", "condition_unit", "rmse_train", "rmse_test"),
+    *("rank", "rank_gap", "near_degenerate", "data_rank", "parameters", "condition"),
+    *("condition_unit", "rmse_train", "rmse_test"),
     *("torque_error", "torque_error_null", "torque_error_mean", "torque_error_floor", "beaten_by"),
     *("feasible", "converged", "iterations", "simulations", "stop"),
 )
 """Fields of the row of any identification that its result has as well."""
 OF_CELLS: Final = (*REPORTED, "torque_error_moving", "torque_error_weighted", "standstill")
 """The same of those that run the pipeline of suites."""
-
-WORSE: Final = "worse"
-"""Word of --accept for an answer that a baseline beats."""
 
 WEAKEST: Final = 3
 """Base parameters at the end of the summary, those with the largest relative deviations."""
@@ -125,8 +124,9 @@ class IdentifyResult(Result):
         """Warnings without which the answer is misread."""
         return [f"warning: {warning}" for warning in self.warnings[: self._urgent]]
 
-    def _baseline_lines(self) -> list[str]:
-        """The error of the answer on its test beside those of predictions without one."""
+    def _baseline_lines(self, own: str = "on the test {:.3g} %; ") -> list[str]:
+        """The error of the answer on its test (as `own` says it) beside those of predictions
+        without one."""
         error = self.scores.get("torque_error")
         if error is None:
             return []
@@ -137,7 +137,7 @@ class IdentifyResult(Result):
         known |= {WORDS[ZERO]: ZERO_TORQUE}
         known |= {"the training torque, played again": self.scores.get("torque_error_floor")}
         texts = [f"{words} {100 * e:.3g} %" for words, e in known.items() if e is not None]
-        return [f"  torque error on the test {100 * error:.3g} %; of {', '.join(texts)}"]
+        return [f"  torque error {own.format(100 * error)}of {', '.join(texts)}"]
 
     def _closing_lines(self) -> list[str]:
         """The other warnings, and files."""
@@ -178,6 +178,7 @@ def cell_fields(
         warnings.append(_open_text(directions, weight, problem.prior is not None))
     failure = _failure(whole, prepared.baselines, problem.file is not None)
     warnings += [failure] if failure else []
+    warnings += _dropped_texts(problem)
     return {
         "rows": list(problem.rows),
         "scores": {name: whole.get(name) for name in scores},
@@ -211,15 +212,32 @@ def _open_text(directions: OpenDirections, weight: float | None, has_prior: bool
     )
 
 
+def _dropped_texts(problem: Problem) -> list[str]:
+    """Sentence on directions that the rank rule drops though they are no rounding, with the torque
+    that they have for what is known beforehand."""
+    base = problem.base
+    if not base.near_degenerate:
+        return []
+    first = base.singular_values[base.rank]
+    known = problem.file if problem.prior is None else problem.prior.theta
+    share = ""
+    if known is not None and base.dropped is not None:
+        torque = left_out_torque(base, known)
+        share = f"; their torque, {torque:.1e} of the whole by what is known beforehand, is lost"
+    return [
+        f"the rank rule drops {count_text(base.near_degenerate, 'nearly dependent direction')} "
+        f"(singular values from {first / base.singular_values[0]:.1e} of the largest, gap "
+        f"{base.gap:.3g} to the last kept one){share}"
+    ]
+
+
 def _failure(row: Mapping[str, Any], against: Baselines, has_file: bool) -> str | None:
     """Reason for which an answer is worse than none, with what to do; None where it is not. A
     simulated robot has no file (`has_file`) but a prior."""
-    error, beaten = row.get("torque_error"), row.get("beaten_by")
-    if error is None or not beaten:
+    error, names = row.get("torque_error"), against.beaten_by(row.get("torque_error"))
+    if error is None or not names:
         return None
-    names = beaten.split(", ")
-    errors = {against.null_name: against.null, MEAN: against.mean, ZERO: ZERO_TORQUE}
-    texts = " and ".join(f"{WORDS[name]} ({errors[name]:.4g})" for name in names)
+    texts = against.text(names)
     advice = "do not use it for other motions"
     if names[0] in (FILE, FILE_FRICTION) and not has_file:
         texts = texts.replace("the model file", "the prior")

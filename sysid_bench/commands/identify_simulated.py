@@ -26,7 +26,12 @@ from sysid_bench.commands.result import OMIT_NONE, file_text, value_text
 from sysid_bench.commands.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.commands.task_terms import check_terms
 from sysid_bench.commands.values import check_seed
-from sysid_bench.commands.write_model import check_files, write_model
+from sysid_bench.commands.write_model import (
+    check_files,
+    check_output_files,
+    format_of,
+    write_model,
+)
 from sysid_bench.errors import ModelError, WriteError
 from sysid_bench.evaluation.feasible_body import feasible_body
 from sysid_bench.experiments.experiment_data import ExperimentData
@@ -74,7 +79,7 @@ class SimulatedResult(IdentifyResult):
             f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
             f"other motions, torque error {value_text(self.torque_error)}",
         ]
-        lines += self._baseline_lines()
+        lines += self._baseline_lines(own="")
         if self.left_out:
             lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
         if self.sensor is not None:
@@ -134,6 +139,9 @@ def identify_simulated(request: Identify) -> SimulatedResult:
     loaded, spec = _robot(request, _specification(request))
     robot, (model_out, json_out, _) = loaded.robot, request.files
     check_files(robot, request.task, model_out, json_out)
+    other = model_out is not None and format_of(model_out) != robot.format
+    beside = model_out.with_suffix(".toml") if model_out is not None and other else None
+    check_output_files(request.files, beside, [])
     # As in a suite: a robot on which the engines differ makes no data.
     if not loaded.check.ok():
         raise ModelError(f"{robot.name}: {loaded.check.reason_text()}")
@@ -148,7 +156,13 @@ def identify_simulated(request: Identify) -> SimulatedResult:
             write_model(robot, request.task, estimate, prepared.problem, model_out, whole)
         except ModelError as error:
             raise WriteError(str(error), replace(result, model_out=None)) from error
-    return result
+    if beside is None:
+        return result
+    note = (
+        f"{model_out} has bodies, joints and friction, without shapes and actuators; what its "
+        f"format has no place for stands in {beside}, which is the file to load"
+    )
+    return replace(result, warnings=[*result.warnings, note])
 
 
 def _estimator(request: Identify) -> str:
@@ -185,6 +199,8 @@ def _result(
         payload = feasible_entry(entry, problem, body, feasible)
         fields["bodies"][body.name] = {key: payload[key] for key in entry}
     exact = _rounding(estimate.beta, problem.base.K @ source.truth.theta)
+    if not spec.noise and exact is None:
+        own = [*_inexact_text(fields["scores"], method), *own]
     return SimulatedResult(
         **fields,
         model=robot.name,
@@ -229,6 +245,20 @@ def _robot(request: Identify, spec: ExperimentSpec) -> tuple[LoadedRobot, Experi
         return LoadedRobot(robot), replace(spec, content=manifest.content)
     folder = file_text(request.robots_dir)
     return loaded_robot(spec.robot, spec.payload, folder, None, request.free_base), spec
+
+
+def _inexact_text(scores: Mapping[str, Any], method: Any) -> list[str]:
+    """Reason for which an answer to exact data has a larger error than rounding; none where its
+    torques do not show it."""
+    error = scores["torque_error"]
+    if error is None or error <= LARGEST:
+        return []
+    cause = f"the method: {bias}" if (bias := getattr(method, "bias", "")) else "rounding"
+    if scores["near_degenerate"] and not bias:
+        cause = "the nearly dependent directions, which the data contain and no base parameter does"
+    elif scores["condition"] and not bias:
+        cause = f"rounding, which the condition number {scores['condition']:.1e} magnifies"
+    return [f"exact data, and a torque error of {error:.1e}, by {cause}"]
 
 
 def _rounding(beta: Array, beta_true: Array) -> float | None:

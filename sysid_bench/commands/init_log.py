@@ -32,8 +32,9 @@ class InitLog(Request["InitLogResult"]):
         """Write the description of a recording in one or several files, beside the first one.
 
         Columns, units and time are guessed from names, numbers and the limits of the model; what is
-        guessed, why, and what is doubtful stands in comments. Of a recording without torques the
-        rest is written, with what it lacks. Raises UsageError for files without positions, and for
+        guessed, why, and what is doubtful stands in comments, with what each block of columns is.
+        Of a recording without torques, or with currents, the rest is written, with what it lacks.
+        Raises UsageError for files without positions, and for
         an existing description without `force`.
         """
         from sysid_bench.models.load import load_robot
@@ -52,7 +53,7 @@ class InitLog(Request["InitLogResult"]):
         robot = load_robot(find_manifest(str(self.model), self.robots_dir))
         tables = [(relative_to(path, target.parent), read_table(path)) for path in paths]
         guess = guess_log(tables, robot)
-        settling = "  # once tau is written"
+        settling = "  # once tau is complete"
         doubts = list(guess.warnings)
         if not guess.lacks:
             # A guess that cannot be read raises here, before anything is written.
@@ -60,7 +61,8 @@ class InitLog(Request["InitLogResult"]):
             findings = [finding for finding in log.findings if finding.contradiction]
             doubts += [finding.text for finding in findings]
             accepted = ",".join(dict.fromkeys(finding.name for finding in findings))
-            settling = f" --accept {accepted}  # or settle the doubts first" if accepted else ""
+            settling = " --task actuators" * ("pd" in guess.keys.get("tau", {}))
+            settling += f" --accept {accepted}  # or settle the doubts first" if accepted else ""
         write_new(target, _text(guess, doubts, self.model), self.force)
         return InitLogResult(
             file=str(target),
@@ -116,12 +118,12 @@ def _text(guess: "LogGuess", doubts: Sequence[str], model: str | Path) -> str:
     """Text of the description: doubts first, then a line a key with its reason."""
     lines = [f"# Recording for {model}; written by sysid-bench init log. Check what it guessed."]
     lines += [f"# DOUBT: {_one_line(doubt)}" for doubt in doubts]
-    if guess.unused:
-        lines.append(f"# Columns that are not used: {_one_line(', '.join(guess.unused))}")
+    lines += [f"#   {_one_line(line)}" for line in guess.explained]
     for entry in guess.entries:
         lines += [f"# {_one_line(entry.reason)}"] if entry.reason else []
         lines.append(f"{entry.name} = {toml_value(entry.value)}")
-    lines += ['# tau = { columns = [], unit = "N m" }    # one column a joint'] * bool(guess.lacks)
+    absent = bool(guess.lacks) and "tau" not in guess.keys and "preset" not in guess.keys
+    lines += [f"# tau = {toml_value(guess.proposal)}    # to be completed"] if absent else []
     lines += [
         "# payload = { use = 'box-2kg' }    # what was mounted, if known",
         "# rows = [1, 2000]                 # part of the samples, counted from 1",

@@ -12,7 +12,7 @@ from click.shell_completion import CompletionItem
 
 from sysid_bench.commands import worker_execute
 from sysid_bench.commands.request import USAGE
-from sysid_bench.commands.shell import click_command
+from sysid_bench.commands.shell import GRAVITY, click_command
 from sysid_bench.commands.table import FIRST, GROUPS, Verb, all_verbs, find_verb
 from sysid_bench.errors import unknown_name
 
@@ -106,11 +106,17 @@ class Verbs(click.Group):
     metavar="0.95",
     help="Level of all intervals, in place of that of a suite; default: 0.95.",
 )
+@click.option(
+    "--gravity",
+    metavar="X,Y,Z",
+    help="Gravity in the base frame (m/s^2) of the models that the verb is given.",
+)
 @click.version_option(package_name="sysid-bench", prog_name="sysid-bench")
 @click.pass_context
-def main(ctx: click.Context, debug: bool, confidence: float | None) -> None:
+def main(ctx: click.Context, debug: bool, confidence: float | None, gravity: str | None) -> None:
     """Benchmark of robot dynamic identification, cross-validated with Pinocchio."""
     ctx.obj = debug
+    ctx.meta[GRAVITY] = gravity
     if confidence is not None:
         from sysid_bench.evaluation.intervals import at_level  # numpy, which --help does not need
 

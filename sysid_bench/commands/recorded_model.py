@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.commands.write_model import KEYS, write_text, write_values
+from sysid_bench.commands.write_model import KEYS, format_of, write_text, write_values
 from sysid_bench.errors import EstimationError, ModelError, first_names
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.evaluation.score import feasible_figures, joint_errors
@@ -86,12 +86,14 @@ def write_recorded_model(
         for body in problem.bodies
     }
     terms, left_out = _terms_by_joint(robot, problem.rows, theta)
-    write_values(robot, bodies, _in_file(robot, terms), {}, target)
     # The manifest as written, without the joints that a log has locked.
     original = robot.manifest
     if original.text is None:
         original = find_manifest(original.source or str(original.manifest_file or original.path))
     manifest = replace(original, joints={**robot.manifest.joints, **terms})
+    form = format_of(target)
+    in_file = _in_file(robot, terms, form)
+    manifest = write_values(robot, bodies, in_file, {}, target, manifest) or manifest
     file = target.with_suffix(".toml")
     write_text(file, manifest_text(manifest, target.name))
     return _judged(prepared, estimate.beta, file, chosen, left_out)
@@ -201,16 +203,18 @@ def _check_passive(terms: Mapping[str, Mapping[str, Any]]) -> None:
         )
 
 
-def _in_file(robot: RobotModel, terms: Mapping[str, JointTerms]) -> dict[str, dict[str, float]]:
+def _in_file(
+    robot: RobotModel, terms: Mapping[str, JointTerms], form: str
+) -> dict[str, dict[str, float]]:
     """Terms in the words of the model file, those that its format has a place for."""
-    held = PASSIVE[:2] if robot.format == "urdf" else (*PASSIVE, "spring")
+    held = PASSIVE[:2] if form == "urdf" else (*PASSIVE, "spring")
     found: dict[str, dict[str, float]] = {}
     for joint, values in terms.items():
         # A negative stiffness, as of a counterbalance, stands in the manifest alone.
         found[joint] = {
             KEYS.get(term, term): max(float(getattr(values, term)), 0.0) for term in held
         }
-        if robot.format != "urdf" and values.spring_reference is not None:
+        if form != "urdf" and values.spring_reference is not None:
             found[joint]["springref"] = values.spring_reference  # rad, m
     return found
 

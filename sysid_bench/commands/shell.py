@@ -23,7 +23,7 @@ from sysid_bench.commands.request import (
     spec_of,
 )
 from sysid_bench.commands.worker_execute import supervise
-from sysid_bench.errors import SysidBenchError
+from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt
 from sysid_bench.units import quantity
 
@@ -40,6 +40,10 @@ _PATHS: Final[Mapping[str, Mapping[str, Any]]] = {
 _HELP: Final = ("-h", "--help")
 HELP_ALL: Final = "--help-all"
 _JSON: Final = "as_json"
+GRAVITY: Final = "sysid_bench.gravity"
+"""Key of the gravity on the command line in the data of click's contexts."""
+MODELS: Final = "robots files"
+"""What completes the fields that name a model."""
 _MODELS: Final = "basis crosscheck diagnose excite frames identify lint record robot twin"
 _REMOVED: Final = {
     "--assets": (_MODELS, "write it behind the file, 'arm.xml?assets=meshes'"),
@@ -65,9 +69,10 @@ _REMOVED: Final = {
     "--title": ("survey", "a report has the title of its source"),
     "--methods": ("transfer", "use methods= of sysid_bench.transfer"),
     "--levels": ("transfer", "use levels= of sysid_bench.transfer"),
-    "--gravity": ("robot", "write gravity = [...] into robot.toml"),
 }
 """Options of earlier versions: verbs that had them, and what to do in their place."""
+_BEFORE: Final = {"--confidence": "--confidence 0.9", "--gravity": "--gravity 0,0,-9.81"}
+"""Options of all verbs, with an example of each."""
 
 
 # --- A command from a request -------------------------------------------------------------------
@@ -154,9 +159,32 @@ def _execute(request: type[Request[Any]], specs: Mapping[str, Option], **values:
         # Only what was typed: the defaults of the request hold, whatever help prints as one.
         if context.get_parameter_source(key) is not ParameterSource.DEFAULT
     }
+    if gravity := context.meta.get(GRAVITY):
+        given |= _with_gravity(specs, given, gravity)
     asked = request(**given)
     code = supervise(asked.plugins(), asked.progress)
     return asked.shell(as_json) if code is None else code
+
+
+def _with_gravity(
+    specs: Mapping[str, Option], given: Mapping[str, Any], gravity: str
+) -> dict[str, Any]:
+    """The models on the line with this gravity; raise UsageError where there is none."""
+    from sysid_bench.models.sources import with_settings  # which no other command waits for
+
+    names = [key for key in given if specs[key].complete == MODELS]
+    if not names:
+        raise UsageError(
+            "--gravity has a use where a robot or a model file stands on the line; in a suite, "
+            "write use = 'arm.urdf?gravity=0,0,-9.81'."
+        )
+
+    def turned(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(map(turned, value))
+        return with_settings(str(value), {"gravity": gravity})
+
+    return {name: turned(given[name]) for name in names}
 
 
 def _value(spec: Option, value: Any) -> Any:
@@ -190,8 +218,8 @@ class _Verb(click.Command):
             if ctx.info_name in verbs.split():
                 word = f"{error.option_name} is not an option of this command any more: {advice}."
                 raise click.UsageError(word, ctx) from error
-            if error.option_name == "--confidence":
-                word = "--confidence stands before the verb: sysid-bench --confidence 0.9 VERB ..."
+            if example := _BEFORE.get(error.option_name):
+                word = f"{error.option_name} stands before the verb: sysid-bench {example} VERB ..."
                 raise click.UsageError(word, ctx) from error
             raise
 

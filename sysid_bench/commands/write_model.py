@@ -13,8 +13,11 @@ from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identifiability.base_expressions import parameter_verdict
 from sysid_bench.input_files import is_file, is_folder
+from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import update_mjcf
+from sysid_bench.models.writing.other_format import converted
+from sysid_bench.models.writing.update import update_of
 from sysid_bench.models.writing.urdf_writer import update_urdf
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import Array, Estimate, Problem
@@ -28,11 +31,11 @@ def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path |
     """Raise UsageError or UnsupportedError, before anything runs, for files that the identified
     model or the JSON result cannot be written to."""
     sources = (robot.manifest.path, robot.manifest.manifest_file)
-    suffixes = SUFFIXES[robot.format]
-    if model is not None and model.suffix.lower() not in suffixes:
+    known = [suffix for suffixes in SUFFIXES.values() for suffix in suffixes]
+    if model is not None and model.suffix.lower() not in known:
         raise UsageError(
-            f"{str(model)!r} cannot hold {robot.manifest.path.name}, which is written back in its "
-            f"own format: name it *{suffixes[0]}."
+            f"{str(model)!r} cannot hold a model: name it *.urdf or *.xml (MJCF); "
+            f"{robot.manifest.path.name} is {'a URDF' if robot.format == 'urdf' else 'an MJCF'}."
         )
     for target in filter(None, (model, answer)):
         _check_target(target, sources)
@@ -126,7 +129,11 @@ def write_model(
         joint, _, suffix = name.rpartition(".")
         term = term_of[suffix]
         joints.setdefault(joint, {})[KEYS.get(term, term)] = value
-    write_values(robot, bodies, joints, verdict_of, target)
+    described = write_values(robot, bodies, joints, verdict_of, target)
+    if described is not None:
+        from sysid_bench.models.writing.manifest_writer import manifest_text  # loads tomlkit
+
+        write_text(target.with_suffix(".toml"), manifest_text(described, target.name))
 
 
 def _welded(robot: RobotModel, name: str) -> Array:
@@ -141,24 +148,40 @@ def _welded(robot: RobotModel, name: str) -> Array:
     return composite
 
 
+def format_of(target: Path) -> str:
+    """Return the format, "urdf" or "mjcf", that the suffix of a model file names."""
+    return next(form for form, known in SUFFIXES.items() if target.suffix.lower() in known)
+
+
 def write_values(
     robot: RobotModel,
     bodies: Mapping[str, Array],
     joints: Mapping[str, Mapping[str, float]],
     verdict_of: Mapping[str, str],
     target: Path,
-) -> None:
+    manifest: Manifest | None = None,
+) -> Manifest | None:
     """Write the robot's model file again with phi (10,) by body and terms by joint, in the words of
-    the format; raises ModelError for what must not be written."""
-    # The file is edited, not generated: comments, meshes and foreign tags stay.
-    write = update_urdf if robot.format == "urdf" else update_mjcf
+    the format; raises ModelError for what must not be written.
+
+    In the other format the file has bodies and joints, without shapes, and the manifest that is
+    returned, the given one or that of the robot, holds what that format has no place for.
+    """
+    form, described = format_of(target), None
     with tempfile.TemporaryDirectory() as folder:
         source = robot.manifest.path
         if robot.manifest.text is not None:  # a robot that exists as text alone
             source = Path(folder) / f"robot{SUFFIXES[robot.format][0]}"
             source.write_text(robot.manifest.text, encoding="utf-8")
-        text = write(source, bodies, joints, verdict_of)
+        if form == robot.format:
+            # The file is edited, not generated: comments, meshes and foreign tags stay.
+            write = update_urdf if form == "urdf" else update_mjcf
+            text = write(source, bodies, joints, verdict_of)
+        else:
+            update = update_of(source, bodies, joints, verdict_of)
+            text, described = converted(update, manifest or robot.manifest, form, target.name)
     write_text(target, text)
+    return described
 
 
 def write_text(target: Path, text: str) -> None:

@@ -1,7 +1,7 @@
 """Checks of single channels, without a model of the robot: what the reader found, constant, copied,
 held and clipped channels, and spikes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
@@ -25,11 +25,26 @@ ADVICE: Final = {
     "limits": "correct q.offset, or the limits of the model",
 }
 
+LOW: Final = 0.1
+HIGH: Final = 0.5
+"""Shares of the RMS torque that one without sign comes down to, and rises to in between."""
+
+TURN: Final = 2 * np.pi
+JUMP: Final = 0.25
+"""Least distance of a joint's other steps from a turn, as a share of it: wrapped positions jump by
+a turn less the motion of one sample."""
+
 EXACT: Final = 1e-9
 """1 - |correlation| of a copy: measurements of two things differ by more."""
+REVERSALS: Final = 2
+"""Changes of the sign of a velocity from which it is not correlated with its own position."""
 NEAR: Final = 0.97
 """Correlation of a torque with the acceleration of its joint, found from its positions, above which
 it may be that acceleration."""
+LEAST: Final = 0.5
+MANY_JOINTS: Final = 4
+"""The least correlation where as many joints have the same factor: noise in the accelerations of
+both lowers it, and equal factors are no chance."""
 EQUAL: Final = 0.15
 """Relative difference of the factors of two joints: their inertias differ by more."""
 
@@ -82,14 +97,64 @@ def static_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
         yield Finding("standstill", WARNING, text, names, edit=edit)
 
 
+def touches(x: Array) -> int:
+    """Return how often a channel (N,) of one sign comes down to zero between larger values; -1 for
+    one of both signs."""
+    x = x[np.isfinite(x)]
+    if not len(x) or x.min() < 0 < x.max():
+        return -1
+    x, steps = np.abs(x), np.abs(np.diff(x))
+    rms = float(np.sqrt((x**2).mean()))
+    # A smooth torque that only comes near zero has hardly any slope there: one that was folded
+    # reaches zero within a step.
+    reach = np.maximum(np.append(steps, 0), np.append(0, steps))
+    low = (x < LOW * rms) & (x <= reach) & (x < rms)
+    marks = np.where(low, -1, np.where(x > HIGH * rms, 1, 0))
+    marks = marks[marks != 0]
+    return int(((marks[1:-1] == -1) & (marks[:-2] == 1)).sum()) if len(marks) > 2 else 0
+
+
+def wrapped_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield hinges whose positions jump by a turn of the joint, or of the motor before its gear."""
+    q, log = evidence.raw.q[:, evidence.columns], evidence.log.description
+    ratio = log.joint_values("q.ratio", log.q.ratio)[evidence.columns]
+    hit = []
+    for j in np.flatnonzero([kind == "hinge" for kind in evidence.kinds]):
+        steps = np.abs(np.diff(q[np.isfinite(q[:, j]), j]))
+        for turn in {TURN, TURN / abs(float(ratio[j]))}:
+            jumps = steps > (1 - JUMP) * turn
+            # Steps in between are those of other units or columns.
+            least, most = steps[~jumps].max(initial=0.0), steps[jumps].max(initial=0.0)
+            if 0 < most < (1 + JUMP) * turn and least < JUMP * turn:
+                hit.append((int(j), int(jumps.sum())))
+                break
+    if hit:
+        names = evidence.names(np.array([j for j, _ in hit]))
+        counts = ", ".join(f"{evidence.joints[j]} {count} times" for j, count in hit)
+        yield Finding(
+            "wrapped", ERROR, f"positions jump by a turn: {counts}", names,
+            blind="motions that move more than a quarter of a turn between samples",
+            edit="q = { unwrap = true }",
+        )  # fmt: skip
+
+
 def copied_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
     """Yield torques that are multiples of a position, of a velocity or of another torque, and
-    positions that are multiples of others; torques that are accelerations."""
+    positions that are multiples of others; velocities that are positions, and torques that are
+    accelerations or velocities."""
     # The samples of the file: on the uniform grid each signal has been interpolated apart.
     raw = evidence.raw.columns(evidence.columns)
     valid = ~check_finite(*raw.signals.values())
     channels = {"position": raw.q, "torque": raw.tau, "velocity": raw.v}
     unit = {kind: _unit(x[valid]) for kind, x in channels.items() if x is not None}
+    found = [*_multiples(evidence, unit)]
+    if "velocity" in unit:
+        found += _copied_positions(evidence, unit["position"], unit["velocity"])
+    yield from found or _copied_derivatives(evidence)
+
+
+def _multiples(evidence: DiagnoseInput, unit: Mapping[str, Array]) -> Iterator[Finding]:
+    """Yield channels that are multiples of others, of columns (N, n) of length 1 by kind."""
     pairs = (("torque", "torque"), ("position", "position"), ("torque", "position"))
     for kind, other in (*pairs, ("torque", "velocity")):
         if other in unit:
@@ -106,40 +171,61 @@ def copied_channels(evidence: DiagnoseInput) -> Iterator[Finding]:
                         edit=f"{'tau' if kind == 'torque' else 'q'} = {{ columns = [...] }}: one "
                         "column a joint",
                     )  # fmt: skip
-    yield from _copied_accelerations(evidence)
 
 
-def _copied_accelerations(evidence: DiagnoseInput) -> Iterator[Finding]:
-    """Yield torques that are all their joints' accelerations times one factor, unless those of the
-    model file are."""
-    a, tau = evidence.motion.a, evidence.torque
-    moving = (np.ptp(a, axis=0) > 0) & (np.ptp(tau, axis=0) > 0)
-    if not moving.any() or not _is_common(a[:, moving], tau[:, moving]):
-        return
-    motion, _ = evidence.fit_samples
+def _copied_positions(evidence: DiagnoseInput, q: Array, v: Array) -> Iterator[Finding]:
+    """Yield joints whose velocity is their position, of columns q, v (N, n) of length 1."""
+    # The mean of q v is the change of q^2 / 2 over the duration: none where the joint turns back.
+    reversals = (np.diff(np.sign(v), axis=0) != 0).sum(axis=0)
+    same = (np.abs((q * v).sum(axis=0)) > NEAR) & (reversals >= REVERSALS)
+    if same.any():
+        names = evidence.names(same)
+        text = f"the velocities of {', '.join(names)} are multiples of their positions"
+        edit = "q = { columns = [...] }, v = { columns = [...] }: v can be left out"
+        yield Finding("copied", ERROR, text, names, edit=edit)
+
+
+def _copied_derivatives(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield torques that are all their joints' accelerations, or velocities, times one factor,
+    unless those of the model file are nothing but accelerations, as of rotors."""
+    tau, (motion, _) = evidence.torque, evidence.fit_samples
     model = evidence.regressor(motion) @ evidence.file_parameters.ravel()
-    # A model without inertias says nothing, and neither does a single joint then.
-    blind = evidence.placeholder != "" and moving.sum() == 1
-    if not blind and not _is_common(motion.a[:, moving], model[:, moving]):
-        text = "the torques of all joints are their accelerations times one factor"
-        edit = "tau = { columns = [...] }: the columns of measured torques"
-        yield Finding("copied", ERROR, text, evidence.names(moving), edit=edit)
+    for word, x, sparse in (
+        ("accelerations", evidence.motion.a, motion.a), ("velocities", evidence.motion.v, motion.v)
+    ):  # fmt: skip
+        moving = (np.ptp(x, axis=0) > 0) & (np.ptp(tau, axis=0) > 0)
+        # A model without inertias says nothing, and neither does a single joint then.
+        blind = evidence.placeholder != "" and moving.sum() == 1
+        if not moving.any() or blind or not _is_common(x[:, moving], tau[:, moving]):
+            continue
+        if not (_slopes(sparse[:, moving], model[:, moving])[0] > NEAR).all():
+            text = f"the torques of all joints are their {word} times one factor"
+            edit = "tau = { columns = [...] }: the columns of measured torques"
+            yield Finding("copied", ERROR, text, evidence.names(moving), edit=edit)
+            return
 
 
-def _is_common(a: Array, tau: Array) -> bool:
-    """True where each column of tau (N, k) is that of a (N, k) times the same factor, but for an
+def _is_common(x: Array, tau: Array) -> bool:
+    """True where each column of tau (N, k) is that of x (N, k) times the same factor, but for an
     offset."""
-    a, tau = a - a.mean(axis=0), tau - tau.mean(axis=0)
-    size, product = (a**2).sum(axis=0), (a * tau).sum(axis=0)
-    power = size * (tau**2).sum(axis=0)
-    if not (power > 0).all():
-        return False
-    correlation = np.abs(product) / np.sqrt(power)
-    factor = product / size
+    correlation, factor = _slopes(x, tau)
     middle = float(np.median(factor))
+    least = LEAST if len(factor) >= MANY_JOINTS else NEAR
     return bool(
-        (correlation > NEAR).all() and (np.abs(factor - middle) < EQUAL * abs(middle)).all()
+        (correlation > least).all() and (np.abs(factor - middle) < EQUAL * abs(middle)).all()
     )
+
+
+def _slopes(x: Array, tau: Array) -> tuple[Array, Array]:
+    """Sizes (k,) of the correlations of columns x and tau (N, k), and slopes (k,) of tau on x; 0
+    where either is constant."""
+    x, tau = x - x.mean(axis=0), tau - tau.mean(axis=0)
+    size, product = (x**2).sum(axis=0), (x * tau).sum(axis=0)
+    power = size * (tau**2).sum(axis=0)
+    valid = power > 0
+    correlation = np.abs(product) / np.sqrt(np.where(valid, power, 1.0))
+    slope = product / np.where(valid, size, 1.0)
+    return np.where(valid, correlation, 0.0), np.where(valid, slope, 0.0)
 
 
 def _unit(x: Array) -> Array:

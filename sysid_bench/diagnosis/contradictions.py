@@ -14,6 +14,7 @@ from sysid_bench.diagnosis import motion_candidates as of_motion
 from sysid_bench.diagnosis import torque_candidates as of_torque
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
+from sysid_bench.diagnosis.gain_candidates import joint_gains
 from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis, first_hypothesis
 from sysid_bench.diagnosis.model_candidates import (
     LINK,
@@ -25,7 +26,8 @@ from sysid_bench.diagnosis.model_candidates import (
 Search = Callable[[Hypothesis], Iterator[Candidate]]
 SEARCHES: Final[Sequence[Search]] = (
     of_motion.sampling_rate, of_torque.torque_direction, of_torque.torque_columns,
-    of_torque.tool_load, of_torque.torque_gain, gravity_direction, of_motion.encoder_offset,
+    of_torque.tool_load, of_torque.torque_gain, joint_gains, gravity_direction,
+    of_motion.encoder_offset,
     of_motion.joint_columns, of_motion.joint_direction, of_motion.position_unit,
 )  # fmt: skip
 """Searches in the order in which equal candidates are named."""

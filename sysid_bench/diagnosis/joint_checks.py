@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.diagnosis.channel_checks import touches
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, JointMotion
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
@@ -65,6 +66,16 @@ SHARE: Final = 0.02
 MANY: Final = 0.5
 SOME: Final = 0.05
 
+TOUCHES: Final = 4
+"""Times that a torque has to come down to zero without ever crossing it: where noise is as large as
+what is left, by chance one in 2^4, and few torques come near zero so often and stay on one side."""
+POOR: Final = 0.1
+BETTER: Final = 0.5
+"""Relative residual of a torque of one sign, and the share of it that is left where the signs of a
+model are given to it: gravity that keeps a torque to one side explains it without them."""
+SIGNINGS: Final = 8
+"""Fits, each to the torque with the signs of the fit before."""
+
 FAIR: Final = 0.25
 """Share of the directions of the links that the motion excites less than the model file knows
 them: least squares is then worse than a feasible fit or one with a prior."""
@@ -92,8 +103,17 @@ class JointRows:
         return np.asarray(self.evidence.torque[self.rows])
 
     @cached_property
+    def _regressor(self) -> Array:
+        return self.evidence.regressor(self.motion)
+
+    @cached_property
     def _links(self) -> Array:
-        return np.asarray(self.evidence.regressor(self.motion) * self.evidence.link_std)
+        return np.asarray(self._regressor * self.evidence.link_std)
+
+    @property
+    def file_torque(self) -> Array:
+        """Torque (N, n) of the links in the model file."""
+        return np.asarray(self._regressor @ self.evidence.file_parameters.ravel())
 
     def friction(self, j: int) -> Array:
         """Columns (N, 3) of viscous and Coulomb friction and offset."""
@@ -126,6 +146,50 @@ class JointRows:
             H = A.T @ A + RIDGE * np.eye(Xs.shape[1])
             error += float(((y[out] - Xs[out] @ np.linalg.solve(H, A.T @ b)) ** 2).sum())
         return error / len(y)
+
+
+def unsigned_torque(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield torques without sign: never negative, though they come down to zero again and again, or
+    though the joint's own motion explains them with signs alone."""
+    counts = np.array([touches(column) for column in evidence.raw.tau[:, evidence.columns].T])
+    own = JointRows(evidence)
+    # The sizes of all currents have touches enough together; a joint that rests on zero has many.
+    every = bool((counts >= 0).all()) and evidence.count > 1 and int(counts.sum()) >= TOUCHES
+    found = [
+        every or count >= TOUCHES or (count >= 0 and evidence.rms[j] > 0 and _is_folded(own, j))
+        for j, count in enumerate(counts.tolist())
+    ]
+    if any(found):
+        names = evidence.names(np.array(found))
+        whose = "all joints" if all(found) else ", ".join(names)
+        yield Finding(
+            "magnitude", ERROR,
+            f"the torque of {whose} has no sign: it never crosses zero where the motion asks for "
+            "it", names, blind="joints that gravity loads to one side",
+            edit="tau = { columns = [...] }: torques or currents with their signs; where drives "
+            "record none: tau = { pd = ... }, --task actuators",
+        )  # fmt: skip
+
+
+def _is_folded(own: JointRows, j: int) -> bool:
+    """True where the torque of joint j is explained with the signs of its own model alone."""
+    X, size = own.columns(j), np.abs(own.torque[:, j])
+    Q = np.linalg.qr(X)[0]
+
+    def error(y: Array) -> float:
+        return float(np.linalg.norm(y - Q @ (Q.T @ y)) / np.linalg.norm(y))
+
+    before = error(own.torque[:, j])
+    if before < POOR:
+        return False
+    # Friction, or the links of the model file, give the first signs.
+    starts = own.motion.v[:, j], own.file_torque[:, j]
+    for sign in map(np.sign, starts):
+        for _ in range(SIGNINGS):
+            sign = np.sign(Q @ (Q.T @ (sign * size)))
+        if error(sign * size) < BETTER * before:
+            return True
+    return False
 
 
 def torque_delay(evidence: DiagnoseInput) -> Iterator[Finding]:

@@ -13,7 +13,8 @@ from sysid_bench.diagnosis.finding import SEVERITIES, WARNING, Finding
 
 GROUPS: Final[Sequence[tuple[str, Sequence[Callable[[DiagnoseInput], Iterable[Finding]]]]]] = (
     ("columns and units", (
-        of_channels.recorded_findings, of_channels.static_channels, of_channels.copied_channels,
+        of_channels.wrapped_channels, of_channels.recorded_findings, of_channels.static_channels,
+        of_joints.unsigned_torque, of_channels.copied_channels,
         of_channels.spikes, of_channels.held_channels, of_channels.clipped_channels,
         position_commands)),
     ("model", (of_joints.model_inertia, of_joints.model_limits)),

@@ -5,8 +5,8 @@ fits joint terms alone; trivial are zero torque and the mean torque of the train
 what no model of the state can be much better than: the training torque itself, played again.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from sysid_bench.evaluation.torque_errors import RowErrors, mean_torque_error
@@ -25,6 +25,7 @@ ROUNDING: Final = 1e-9
 """Torque error that is rounding: the prior may be the exact truth."""
 
 FILE, FILE_FRICTION, ZERO, MEAN = "file", "file-friction", "zero-torque", "mean-torque"
+COMMAND: Final = "position-command"
 """Baselines by name; `file`: values of the model file as they are, where joint terms alone or no
 joint terms are unknown."""
 
@@ -33,38 +34,41 @@ WORDS: Final[Mapping[str, str]] = {
     FILE_FRICTION: "the model file with fitted friction",
     ZERO: "zero torque",
     MEAN: "the mean torque of the training",
+    COMMAND: "the commanded positions themselves",
 }
 
 
 @dataclass(frozen=True)
 class Baselines:
-    """Errors of predictions on the tests, as `torque_error`; None where there is none. `null` is
-    that of `null_name`."""
+    """Errors of predictions on the tests by name, the null model first, and that of the repeated
+    motion; as `torque_error`, or of positions (rad, m)."""
 
-    null: float | None = None
-    null_name: str = FILE_FRICTION
-    mean: float | None = None
+    errors: Mapping[str, float] = field(default_factory=dict)
     floor: float | None = None
+
+    @property
+    def null(self) -> float | None:
+        """Error of the null model."""
+        return self.errors.get(FILE_FRICTION, self.errors.get(FILE))
 
     @property
     def fields(self) -> dict[str, Any]:
         """Fields of a row."""
         return {
             "torque_error_null": self.null,
-            "torque_error_mean": self.mean,
+            "torque_error_mean": self.errors.get(MEAN),
             "torque_error_floor": self.floor,
         }
 
+    def text(self, names: Sequence[str]) -> str:
+        """Return some of them in words, with their errors."""
+        return " and ".join(f"{WORDS[name]} ({self.errors[name]:.4g})" for name in names)
+
     def beaten_by(self, error: float | None) -> list[str]:
         """Return the names of the baselines with a smaller error, the null model first."""
-        errors = {self.null_name: self.null, MEAN: self.mean, ZERO: ZERO_TORQUE}
         if error is None:
             return []
-        return [
-            name
-            for name, one in errors.items()
-            if one is not None and error > max(TIE * one, ROUNDING)
-        ]
+        return [name for name, one in self.errors.items() if error > max(TIE * one, ROUNDING)]
 
 
 def baselines(
@@ -76,7 +80,8 @@ def baselines(
         return Baselines()
     theta, name = _null_model(problem)
     null = None if theta is None else RowErrors(judged, problem.base.K @ theta).torque_error
-    return Baselines(null, name, mean_torque_error(problem, judged), floor)
+    errors = {name: null, MEAN: mean_torque_error(problem, judged), ZERO: ZERO_TORQUE}
+    return Baselines({key: x for key, x in errors.items() if x is not None}, floor)
 
 
 def _null_model(problem: Problem) -> tuple[Array | None, str]:

@@ -8,11 +8,12 @@ greedily from left to right, as published tables of base parameters do.
 Structural base parameters of a robot are those of its regressor at random states."""
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
+from sysid_bench.errors import count_text
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, instruments_of
@@ -76,13 +77,34 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     )
 
 
-def base_count(R: Array) -> tuple[int, int]:
-    """Return the number of base parameters of a regressor with the R factor R (m, p), and how many
-    dropped directions are near-degenerate: those of `base_map`, at a small share of its cost."""
+class BaseCount(NamedTuple):
+    """Number of base parameters, how many dropped directions are near-degenerate, and the ratio of
+    the last kept to the first dropped singular value (None: nothing is dropped)."""
+
+    rank: int
+    near_degenerate: int
+    gap: float | None
+
+    @property
+    def dropped_text(self) -> str:
+        """What the rank rule drops, as an addition in brackets; empty where it drops rounding."""
+        if not self.near_degenerate or self.gap is None:
+            return ""
+        return (
+            f" ({count_text(self.near_degenerate, 'near-degenerate direction')} below "
+            f"{RANK_TOLERANCE:g} of the largest dropped, gap {self.gap:.3g})"
+        )
+
+
+def base_count(R: Array) -> BaseCount:
+    """Return the numbers of `base_map` for a regressor with the R factor R (m, p), at a small share
+    of its cost."""
     values = np.linalg.svd(R, compute_uv=False)
     largest = values[0] if len(values) else 0.0
     rank = int((values > RANK_TOLERANCE * largest).sum())
-    return rank, int((values[rank:] > NOISE_FLOOR * largest).sum())
+    near = int((values[rank:] > NOISE_FLOOR * largest).sum())
+    has_gap = 0 < rank < len(values) and values[rank] > 0
+    return BaseCount(rank, near, float(values[rank - 1] / values[rank]) if has_gap else None)
 
 
 def left_out_torque(base: BaseMap, theta: Array) -> float:
@@ -172,9 +194,8 @@ def structural_base(
     return base_map(structural_factor(robot, parameters, rows, cuts), parameters)
 
 
-def structural_count(robot: RobotModel) -> tuple[int, int]:
-    """Return the number of base parameters of all links over all motions, and of near-degenerate
-    directions."""
+def structural_count(robot: RobotModel) -> BaseCount:
+    """Return the number of base parameters of all links over all motions, and what is dropped."""
     return base_count(structural_factor(robot, robot.inertial_columns))
 
 

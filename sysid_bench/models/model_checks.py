@@ -229,8 +229,9 @@ def placeholder_reason(robot: "RobotModel") -> str:
             f"{same.sum()} of {len(phi)} moving links have the same mass and moments of inertia, "
             "though their lengths differ"
         )
-    reach = length(robot)
-    wide = sum(gyration(one) > reach for one in phi)
+    # A link reaches at least as far beyond its joint as its centre of mass, the last one as well.
+    reach = length(robot) + np.linalg.norm(phi[:, 1:4], axis=1) / phi[:, 0]
+    wide = sum(gyration(one) > most for one, most in zip(phi, reach, strict=True))
     if wide:
         return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
     return ""

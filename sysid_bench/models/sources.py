@@ -2,6 +2,7 @@
 
 import hashlib
 import importlib
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
@@ -32,10 +33,21 @@ def _folder(text: str) -> Path:
     return Path(text)
 
 
+def _vector(text: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(map(float, text.replace(",", " ").split()))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise UsageError(f"gravity = {text!r}: give x,y,z in the base frame (m/s^2), as 0,0,-9.81.")
+    return numbers
+
+
 _READ: Final[Mapping[str, Callable[[str], Any]]] = {
     "assets": _folder,
     "tool": str,
     "free_base": _flag,
+    "gravity": _vector,
 }
 
 
@@ -48,7 +60,7 @@ def with_settings(source: str, settings: Mapping[str, Any]) -> str:
             given[key] = str(value).lower()
         elif value is not None:
             given[key] = str(value.resolve() if isinstance(value, Path) else value)
-    return f"{plain}{SEPARATOR}{urlencode(given)}" if given else source
+    return f"{plain}{SEPARATOR}{urlencode(given, safe=',')}" if given else source
 
 
 def source_settings(source: str) -> tuple[str, dict[str, Any]]:

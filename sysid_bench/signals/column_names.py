@@ -15,7 +15,25 @@ WORDS: Final[Mapping[str, frozenset[str]]] = {
 }
 """Words in the names of columns, arrays and files by what they hold."""
 
-_COMMANDED: Final = frozenset(["ref", "des", "desired", "cmd", "command", "target", "action", "d"])
+_COMMANDED: Final = frozenset(
+    ["ref", "des", "desired", "cmd", "command", "commands", "target", "action", "d"]
+)
+CURRENTS: Final = frozenset(["current", "currents", "curr", "i"])
+"""Words of motor currents; "i" alone may also be an index, and counts in names of files."""
+
+_ROLES: Final[Mapping[str, frozenset[str]]] = {
+    "command": _COMMANDED,
+    "temperature": frozenset(["temp", "temperature", "temperatures"]),
+    "gain": frozenset(["kp", "kd", "gain", "gains", "stiffness", "damping"]),
+    "current": CURRENTS,
+    "torque": WORDS["tau"],
+    "acceleration": frozenset(["a", "acc", "ddq", "qdd", "qacc", "acceleration", "accelerations"]),
+    "velocity": WORDS["v"],
+    "position": WORDS["q"],
+    "time": WORDS["time"],
+}
+"""Words of what columns hold, the first that fits."""
+
 _OTHER: Final = _COMMANDED | {"error", "predicted", "ext", "se"}
 """Words of columns that are not measured at the joint."""
 
@@ -37,6 +55,30 @@ def is_signal(name: str, signal: str) -> bool:
     """Test whether a name says that it holds a measured signal."""
     words = words_of(name)
     return bool(words & WORDS[signal]) and not words & _OTHER
+
+
+def role_of(name: str) -> str:
+    """Return what the words of a name say that it holds, "unexplained" where they say nothing."""
+    words = words_of(name)
+    return next((role for role, known in _ROLES.items() if words & known), "unexplained")
+
+
+def is_command_file(stem: str) -> bool:
+    """Test whether the name of a file says that it holds commands."""
+    return bool(words_of(stem) & (_COMMANDED | {"control"} - {"d"}))
+
+
+def command_columns(names: Mapping[str, tuple[int, ...]], joints: Sequence[str]) -> list[str]:
+    """Return the columns of commanded positions: `q_des_1`, `elbow_target_position`, or an array
+    such as `action`; [] without them."""
+    bare: dict[str, str] = {}
+    for name in names:
+        if words_of(name) & _COMMANDED:
+            words = re.split(r"([^A-Za-z]+)", name)
+            kept = [word for word in words if word.lower() not in _COMMANDED]
+            bare.setdefault("".join(kept).strip("_./ ") or "q", name)
+    chosen = columns_of_signal({k: names[name] for k, name in bare.items()}, "q", joints)
+    return [bare[name] for name in chosen]
 
 
 def is_measured(name: str) -> bool:
@@ -67,6 +109,7 @@ def columns_of_signal(
     single = single_columns(names, signal)
     single = list(filter(is_measured, single)) or single
     arrays = [name for name in names if is_signal(name, signal) and len(names[name]) > 1]
+    arrays = list(filter(is_measured, arrays)) or arrays
     by_joint: dict[str, str] = {}
     for name in single:
         by_joint.setdefault(joint_in(name, joints), name)
@@ -80,8 +123,15 @@ def columns_of_signal(
 
 
 def single_columns(names: Mapping[str, tuple[int, ...]], signal: str) -> list[str]:
-    """Return the names of one column that may be those of a signal."""
-    return [name for name in names if is_signal(name, signal) and len(names[name]) == 1]
+    """Return the names of one column that may be those of a signal; columns "q:1" of an array have
+    its name."""
+    return [
+        name
+        for name in names
+        if is_signal(name, signal)
+        and len(names[name]) == 1
+        and name.rpartition(":")[0] not in names
+    ]
 
 
 def joint_in(name: str, joints: Sequence[str]) -> str:

@@ -225,14 +225,21 @@ def check_rates(
 def _exchanged(
     q: Array, v: Array, rate: float, joints: Sequence[str], disagreeing: list[int]
 ) -> list[Finding]:
-    """Return findings of joints whose q does not agree with its own v, but with another's."""
+    """Return findings of joints whose q does not agree with its own v, but with another's.
+
+    A v that agrees with its own q as well is not exchanged: joints that move alike, or one whose v
+    is not recorded.
+    """
     found = []
     for j in disagreeing:
-        others = np.isfinite(_speed_ratios(np.repeat(q[:, [j]], v.shape[1], axis=1), v, rate))
-        if others.any():
+        others = [k for k in disagreeing if k != j]
+        own = np.repeat(q[:, [j]], len(others), axis=1)
+        alike = np.isfinite(_speed_ratios(own, v[:, others], rate))
+        if alike.any():
+            other = joints[others[int(np.argmax(alike))]]
             text = (
-                f"joint {joints[j]!r} moves as v of joint {joints[int(np.argmax(others))]!r} says, "
-                "not as its own: columns are exchanged"
+                f"joint {joints[j]!r} moves as v of joint {other!r} says, not as its own: columns "
+                "are exchanged"
             )
             found.append(Finding("velocity", len(q), text, contradiction=True))
     return found

@@ -1,11 +1,9 @@
 """First description of a recording, guessed from names, numbers and the limits of the robot."""
 
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
-from pathlib import Path
+from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -13,32 +11,33 @@ import numpy as np
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import column_names
-from sysid_bench.signals.column_names import is_signal, words_of
-from sysid_bench.signals.log_checks import check_finite, check_rates, is_rate
+from sysid_bench.signals.column_names import words_of
+from sysid_bench.signals.column_roles import DOUBT
+from sysid_bench.signals.log_checks import check_finite, check_rates
+from sysid_bench.signals.log_columns import Columns, Tables, find_columns, stamp_unit
 from sysid_bench.signals.log_description import NO_JOINT
-from sysid_bench.signals.log_keys import SIGNALS, find_preset, preset_keys
+from sysid_bench.signals.log_keys import GAIN_ADVICE, find_preset, preset_keys
 from sysid_bench.signals.log_samples import scalar_kinds
-from sysid_bench.signals.log_table import LogTable, table_of_rows
+from sysid_bench.signals.log_table import LogTable
 from sysid_bench.types import Array
 
 _TORQUES: Final = frozenset({"tau", "torque", "torques", "effort", "efforts", "trq", "nm"})
 """Words of torques; currents have none of them."""
 
 _FULL_TURN: Final = 2.0 * np.pi
-_SLOWEST: Final = 0.5
-"""s between samples above which stamps are not in s."""
-_TIME_UNITS: Final = ("s", "ms", "us", "ns")
-
-DOUBT: Final = "a doubt: "
-"""Start of a reason that is a doubt."""
 
 NO_TORQUE: Final = (
     "tau: the recording holds positions without torques or motor currents, and no dynamics are "
     "identified without them: add their columns or their file as tau"
 )
 
-_Tables = Sequence[tuple[str, LogTable]]
-"""Files of one recording as written, and their tables."""
+NO_GAIN: Final = f"tau: currents, or torques of motors, are no torques of joints: {GAIN_ADVICE}"
+
+NO_CONTROLLER: Final = (
+    "tau: the recording holds positions and their commands without torques: write kp and kd of the "
+    "position controller (N m/rad, N m s/rad), and the task 'actuators' identifies armature and "
+    "friction"
+)
 
 
 @dataclass(frozen=True)
@@ -53,11 +52,13 @@ class _GuessedKey:
 @dataclass(frozen=True)
 class LogGuess:
     """Guessed description of a recording, and what it lacks: a sentence, "" where it is whole.
-    `unused`: columns that no signal takes."""
+    `unused`: columns that no signal takes; `explained`: what each block of columns is, and why."""
 
     entries: tuple[_GuessedKey, ...]
     lacks: str = ""
     unused: tuple[str, ...] = ()
+    explained: tuple[str, ...] = ()
+    proposal: Any = None  # for tau, where it is not complete
 
     @property
     def keys(self) -> dict[str, Any]:
@@ -75,34 +76,7 @@ class LogGuess:
         return [self.lacks, *doubts] if self.lacks else doubts
 
 
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """Where a signal stands: its file (None: the common one), columns, and numbers (N, k).
-    `beside`: other columns that fit."""
-
-    columns: list[str] | list[int]
-    values: Array
-    file: str | None = None
-    per_row: int | None = None
-    beside: tuple[str, ...] = ()
-
-    def key(self, name: str, units: Sequence[str], reason: str, **more: Any) -> _GuessedKey:
-        """Return the key of a signal; one unit where all joints have the same. Other columns that
-        fit are a doubt unless the names of the chosen ones say that these were measured."""
-        unit = units[0] if len(set(units)) == 1 else list(units)
-        own = {"file": self.file, "per_row": self.per_row}
-        kept = {key: value for key, value in own.items() if value is not None}
-        value = {**kept, "columns": list(self.columns), "unit": unit, **more}
-        others = first_names(self.beside, 6)
-        if self.beside and all(column_names.is_measured(str(name)) for name in self.columns):
-            reason = f"{reason}; not taken: {others}"
-        elif self.beside:
-            mark = "" if reason.startswith(DOUBT) else DOUBT
-            reason = f"{mark}{reason}; {others} fit as well: check which were measured"
-        return _GuessedKey(name, value, reason)
-
-
-def guess_log(tables: _Tables, robot: RobotModel) -> LogGuess:
+def guess_log(tables: Tables, robot: RobotModel) -> LogGuess:
     """Return the guessed description of files (as written, their tables) of one recording; see its
     `lacks` where they hold no torques.
 
@@ -110,39 +84,48 @@ def guess_log(tables: _Tables, robot: RobotModel) -> LogGuess:
     """
     preset = find_preset(tables[0][1].names) if len(tables) == 1 else None
     if preset is not None:
-        return LogGuess(tuple(_of_preset(tables[0], robot, preset)))
+        lacks = NO_GAIN if preset_keys()[preset]["tau"].get("unit") == "A" else ""
+        return LogGuess(tuple(_of_preset(tables[0], robot, preset)), lacks)
     joints = scalar_joints(robot)
-    apart = _has_signal_per_file(tables)
-    found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
-    if "tau" in found and _has_acceleration_as_torque(found):
-        del found["tau"]
+    where = find_columns(tables, robot, joints)
+    found, files = where.signals, list(where.files)
     if "q" not in found:
         raise _no_positions(tables, "tau" in found)
-    files = [name for name, _ in tables]
-    of_files = [] if apart else [_GuessedKey("file", files[0] if len(files) == 1 else files)]
-    of_joints = _joints(found["q"], joints)
+    of_files = [_GuessedKey("file", files[0] if len(files) == 1 else files)] if files else []
+    of_joints = _joints(found["q"], joints, tables)
     of_time, rate = _time(found, tables)
-    signals = _signals(found, of_joints.value, robot, rate)
-    lacks = "" if "tau" in found else NO_TORQUE
-    unused = () if apart else _unused(found, tables)
-    return LogGuess((*of_files, of_joints, of_time, *signals), lacks, unused)
+    signals = list(_signals(found, of_joints.value, robot, rate))
+    proposal: Any = {"columns": [], "unit": "N m"}
+    if "tau" in found:
+        lacks = NO_GAIN if found["tau"].is_current else ""
+    elif "q_des" in found:
+        lacks = "" if where.gains.keys() == {"kp", "kd"} else NO_CONTROLLER
+        controlled = _controlled(found, {"kp": [], "kd": [], **where.gains}, signals)
+        signals += [] if lacks else [controlled]
+        proposal = controlled.value
+    else:
+        lacks = NO_TORQUE
+    entries = (*of_files, of_joints, *of_time, *signals)
+    return LogGuess(entries, lacks, where.unused, where.explained, proposal)
 
 
-def _has_signal_per_file(tables: _Tables) -> bool:
-    """True for files with columns of one name, or without stamps to join them by: each holds one
-    signal."""
-    names = Counter(chain.from_iterable(table.names for _, table in tables))
-    shared = [n for n, count in names.items() if count > 1 and not is_signal(n, "time")]
-    timeless = [file for file, table in tables if column_names.time_column(table.names) is None]
-    return len(tables) > 1 and bool(shared or timeless)
+def _controlled(
+    found: Mapping[str, Columns], gains: Mapping[str, Any], signals: Sequence[_GuessedKey]
+) -> _GuessedKey:
+    """Return the torque of a position controller."""
+    unit = next(entry.value["unit"] for entry in signals if entry.name == "q")
+    told = found["q_des"]
+    more = {"resample": "previous"} if told.time else {}
+    command = told.table([unit] if isinstance(unit, str) else unit, **more)
+    return _GuessedKey(
+        "tau",
+        {"pd": {"q_des": command, **gains, "delay": "profile"}},
+        f"{DOUBT}no torque was recorded, but commands: the torque of their position controller, "
+        "for the task 'actuators'; its gains are those of the file, in N m/rad and N m s/rad",
+    )
 
 
-def _has_acceleration_as_torque(found: Mapping[str, _Columns]) -> bool:
-    tau, motion = found["tau"], [found[name].values for name in ("q", "v") if name in found]
-    return _is_acceleration(tau.values, [tau.values, *motion])
-
-
-def _no_positions(tables: _Tables, has_torques: bool) -> UsageError:
+def _no_positions(tables: Tables, has_torques: bool) -> UsageError:
     names = list(chain.from_iterable(table.names for _, table in tables))
     listed = f"are {first_names(names, 8)}" if names else "have no names"
     absent = "positions" if has_torques else "positions and no torques or currents"
@@ -167,9 +150,6 @@ def _of_preset(file: tuple[str, LogTable], robot: RobotModel, name: str) -> Iter
     count = sum(re.fullmatch(preset["q"]["match"], column) is not None for column in file[1].names)
     joints = _sized(scalar_joints(robot), count)
     yield _GuessedKey("joints", joints, "in the order of the model: check it")
-    if preset["tau"].get("unit") == "A":
-        reason = f"{DOUBT}currents in A need gains in N m/A (with the gear); 1 is a placeholder"
-        yield _GuessedKey("tau", {"gain": [1.0] * count}, reason)
 
 
 def _sized(joints: Sequence[str], count: int) -> list[str]:
@@ -177,120 +157,12 @@ def _sized(joints: Sequence[str], count: int) -> list[str]:
     return [*joints[:count], *[NO_JOINT] * (count - len(joints))]
 
 
-def _by_columns(tables: _Tables, joints: Sequence[str]) -> dict[str, _Columns]:
-    """Return where signals stand in the columns of one file, or of several joined by time."""
-    names: dict[str, tuple[int, ...]] = {}
-    owner: dict[str, LogTable] = {}
-    for _, table in tables:
-        names |= table.names
-        owner |= dict.fromkeys(table.names, table)
-    if not names:
-        return _by_place(tables[0][1], joints)
-    found = {}
-    for signal in SIGNALS:
-        chosen = column_names.columns_of_signal(names, signal, joints)
-        if chosen:
-            same = [name for name in chosen if owner[name] is owner[chosen[0]]]
-            beside = [n for n in column_names.single_columns(names, signal) if n not in same]
-            # Fewer columns are not enough for the signal.
-            beside = beside if len(beside) >= len(same) else []
-            found[signal] = _Columns(same, owner[same[0]].columns(same), beside=tuple(beside))
-    time = column_names.time_column(name for name, indices in names.items() if len(indices) == 1)
-    if time:
-        found["time"] = _Columns([time], owner[time].columns([time]))
-    return found
-
-
-def _by_place(table: LogTable, joints: Sequence[str]) -> dict[str, _Columns]:
-    """Return where signals stand in columns without names: time where the first one rises, then
-    groups of one column a joint."""
-    values = table.values
-    steps = np.diff(np.where(np.isfinite(values[:, 0]), values[:, 0], np.nan))
-    rises = len(steps) > 0 and bool((steps >= 0).mean() > 0.95 and (steps > 0).mean() > 0.5)
-    start, count = int(rises), values.shape[1] - int(rises)
-    # A single group is that of positions, and has a column for each joint.
-    k = len(joints)
-    if not k or count < k or count % k:
-        k = next((k for k in range(9, 0, -1) if count % k == 0 and count > k), 0)
-    if not k:
-        return {}
-    groups = {i: values[:, i : i + k] for i in range(start, values.shape[1], k)}
-    found = {"time": _Columns([1], values[:, :1])} if start else {}
-    for signal, first in _signals_of_groups(groups).items():
-        found[signal] = _Columns(list(range(first + 1, first + k + 1)), groups[first])
-    return found
-
-
-def _signals_of_groups(groups: Mapping[int, Array]) -> dict[str, int]:
-    """Return the group (by its first column) of each signal: rates by the numbers, the others by
-    their order; accelerations are none of them."""
-    left = [first for first, x in groups.items() if not _is_acceleration(x, groups.values())]
-    rates = ((q, v) for q in left for v in left if q != v and is_rate(groups[q], groups[v]))
-    known = next(rates, None)
-    if known is None:
-        order = SIGNALS if len(left) >= 3 else ("q", "tau")
-        return dict(zip(order, left, strict=False))
-    torques = [first for first in left if first not in known]
-    return dict(zip(SIGNALS, (*known, *torques), strict=False))
-
-
-def _is_acceleration(x: Array, others: Iterable[Array]) -> bool:
-    """Test whether x (N, k) is the derivative of a signal that is itself the derivative of one of
-    the others, or the second derivative of one."""
-    others = [one for one in others if one is not x and one.shape == x.shape and len(one) > 1]
-    others = [one for one in others if not check_finite(one).any()]
-    rates = [one for one in others if any(is_rate(q, one) for q in others if q is not one)]
-    return any(is_rate(v, x) for v in [*rates, *(np.gradient(q, axis=0) for q in others)])
-
-
-def _by_files(tables: _Tables, joints: Sequence[str]) -> dict[str, _Columns]:
-    """Return where signals stand, one file each, by the names of the files."""
-    found = {}
-    for signal in (*SIGNALS, "time"):
-        for file, table in tables:
-            if is_signal(Path(file).stem, signal) and signal not in found:
-                found[signal] = _whole_file(file, table, signal, joints)
-    return found
-
-
-def _whole_file(file: str, table: LogTable, signal: str, joints: Sequence[str]) -> _Columns:
-    """Return the columns of a file of one signal; one column is a list of samples."""
-    width = table.values.shape[1]
-    if signal == "time":
-        return _Columns(list(range(1, width + 1)), table.values, file)
-    if width == 1:
-        k = len(joints)
-        return _Columns(list(range(1, k + 1)), table_of_rows(table, k).values, file, k)
-    left = table.names.get(column_names.time_column(table.names) or "", ())
-    indices = [i for i in range(width) if i not in left]
-    return _Columns([i + 1 for i in indices], table.values[:, indices], file)
-
-
-def _unused(found: Mapping[str, _Columns], tables: _Tables) -> tuple[str, ...]:
-    """Return the columns that no signal takes: names, or ranges of indices from 1."""
-    used = {column for part in found.values() for column in part.columns}
-    unused: list[str] = []
-    for _, table in tables:
-        taken = {i for name in used & table.names.keys() for i in table.names[str(name)]}
-        taken |= {column - 1 for column in used if isinstance(column, int)}
-        left = [i for i in range(table.values.shape[1]) if i not in taken]
-        unused += _labels(table, left)
-    return tuple(dict.fromkeys(unused))
-
-
-def _labels(table: LogTable, columns: Sequence[int]) -> Iterator[str]:
-    """Yield the names of columns, then ranges from 1 of those without a name of their own."""
-    names = {i: name for name, (i, *more) in table.names.items() if not more}
-    yield from (names[i] for i in columns if i in names)
-    bare = [i + 1 for i in columns if i not in names]
-    breaks = [i for i in range(1, len(bare)) if bare[i] != bare[i - 1] + 1]
-    for start, end in pairwise([0, *breaks, len(bare)] if bare else []):
-        first, last = bare[start], bare[end - 1]
-        yield f"{first}" if first == last else f"{first} to {last}"
-
-
-def _joints(q: _Columns, joints: Sequence[str]) -> _GuessedKey:
+def _joints(q: Columns, joints: Sequence[str], tables: Tables) -> _GuessedKey:
     count = q.values.shape[1]
+    lists = [list(x) for _, table in tables for x in table.constants.values() if len(x) == count]
+    listed = next((names for names in lists if set(names) <= set(joints)), None)
+    if listed is not None and len(set(listed)) == count:
+        return _GuessedKey("joints", listed, "the file lists them")
     named = column_names.joints_of_columns([str(column) for column in q.columns], joints)
     if named is not None and len(named) == count:
         return _GuessedKey("joints", named, "their names are in those of the columns")
@@ -300,36 +172,28 @@ def _joints(q: _Columns, joints: Sequence[str]) -> _GuessedKey:
     return _GuessedKey("joints", _sized(joints, count), reason)
 
 
-def _time(found: Mapping[str, _Columns], tables: _Tables) -> tuple[_GuessedKey, float]:
-    """Return time stamps or the rate, and the rate in Hz."""
+def _time(found: Mapping[str, Columns], tables: Tables) -> tuple[list[_GuessedKey], float]:
+    """Return time stamps or the rate, none where positions have their own, and the rate in Hz."""
     if "time" in found:
-        return _stamps(found["time"])
+        time = found["time"]
+        unit, rate, reason = stamp_unit(time.values[:, 0])
+        file = {} if time.file is None else {"file": time.file}
+        value = {"column": time.columns[0], "unit": unit, **file}
+        return [_GuessedKey("time", value, reason)], rate
+    if found["q"].time is not None:
+        own = found["q"].time["column"]
+        table = dict(tables)[found["q"].file or tables[0][0]]
+        return [], stamp_unit(table.columns([own])[:, 0])[1]
     stated = next((table.rate for _, table in tables if table.rate), None)
     if stated:
-        return _GuessedKey("rate", f"{stated:g} Hz", "the file states it"), stated
+        return [_GuessedKey("rate", f"{stated:g} Hz", "the file states it")], stated
     q, v = found["q"].values, found["v"].values if "v" in found else None
     measured = None if v is None or v.shape != q.shape else _agreeing_rate(q, v, 100.0)
     if measured:
         reason = f"{DOUBT}no time stamps; v and the differences of q agree at this rate"
-        return _GuessedKey("rate", f"{measured:.4g} Hz", reason), measured
+        return [_GuessedKey("rate", f"{measured:.4g} Hz", reason)], measured
     reason = f"{DOUBT}neither stamps nor v give it: write the rate of the recorder"
-    return _GuessedKey("rate", "200 Hz", reason), 200.0
-
-
-def _stamps(time: _Columns) -> tuple[_GuessedKey, float]:
-    """Return the column of time stamps with the unit that their steps suggest, and their rate in
-    Hz."""
-    t = time.values[:, 0]
-    steps = np.diff(t[np.isfinite(t)])
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    fitting = (e for e in range(len(_TIME_UNITS)) if step * 10.0 ** (-3 * e) < _SLOWEST)
-    exponent = next(fitting, len(_TIME_UNITS) - 1)
-    reason = f"the stamps step by {step:.4g}, so {1 / (step * 10.0 ** (-3 * exponent)):.4g} Hz"
-    value = {"column": time.columns[0], "unit": _TIME_UNITS[exponent]}
-    file = {} if time.file is None else {"file": time.file}
-    steps = np.diff(t) * (1.0, 1e-3, 1e-6, 1e-9)[exponent]
-    rate = 1.0 / float(np.median(steps[steps > 0])) if (steps > 0).any() else 200.0
-    return _GuessedKey("time", {**value, **file}, reason), rate
+    return [_GuessedKey("rate", "200 Hz", reason)], 200.0
 
 
 def _agreeing_rate(q: Array, v: Array, rate: float) -> float | None:
@@ -340,7 +204,7 @@ def _agreeing_rate(q: Array, v: Array, rate: float) -> float | None:
 
 
 def _signals(
-    found: Mapping[str, _Columns], joints: Sequence[str], robot: RobotModel, rate: float
+    found: Mapping[str, Columns], joints: Sequence[str], robot: RobotModel, rate: float
 ) -> Iterator[_GuessedKey]:
     """Yield q, v and tau with their units."""
     q, v, tau = found["q"], found.get("v"), found.get("tau")
@@ -350,17 +214,18 @@ def _signals(
         return [of_hinges if kind == "hinge" else of_slides for kind in kinds]
 
     unit, reason = _position_unit(q, joints, kinds, robot)
-    yield q.key("q", units(unit, "m"), reason)
-    if v is not None and v.values.shape == q.values.shape:
+    yield _GuessedKey("q", q.table(units(unit, "m")), q.said(reason))
+    if v is not None and v.values.shape[1] == q.values.shape[1]:
+        rows = min(len(v.values), len(q.values))  # files of one signal each may end apart
         scale = np.where(np.array(units(unit, "m")) == "deg", np.pi / 180, 1.0)
         unit_v = f"{unit}/s"
         reason = f"{DOUBT}v and the differences of q do not agree; the unit of q is taken"
         for tried, size in (("rad/s", 1.0), ("deg/s", np.pi / 180.0)):
-            measured = _agreeing_rate(q.values * scale, v.values * size, rate)
+            measured = _agreeing_rate(q.values[:rows] * scale, v.values[:rows] * size, rate)
             if measured is not None and abs(measured / rate - 1) < 0.2:
                 unit_v, reason = tried, "v and the differences of q agree in it"
                 break
-        yield v.key("v", units(unit_v, "m/s"), reason)
+        yield _GuessedKey("v", v.table(units(unit_v, "m/s")), v.said(reason))
     if tau is None:
         return
     k, name = len(kinds), " ".join([tau.file or "", *map(str, tau.columns)])
@@ -369,18 +234,19 @@ def _signals(
             f"{k} columns of positions, but {tau.values.shape[1]} of torques: "
             f"{first_names(map(str, tau.columns), 8)}; write the description by hand."
         )
-    if is_signal(name, "tau") and "curr" in name.lower():
-        reason = f"{DOUBT}currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
-        yield tau.key("tau", ["A"], reason, gain=[1.0] * k)
+    if tau.is_current:
+        yield _GuessedKey("tau", tau.table(["A"]), tau.said("no gain is known"))
         return
     reason = "torques, by their names: of motors, give ratio; of currents, unit A and gain"
-    if not words_of(name) & _TORQUES:
+    if tau.reason:
+        reason = ""
+    elif not words_of(name) & _TORQUES:
         reason = f"{DOUBT}taken for torques of joints; for currents write unit A and gain, ratio"
-    yield tau.key("tau", units("N m", "N"), reason)
+    yield _GuessedKey("tau", tau.table(units("N m", "N")), tau.said(reason))
 
 
 def _position_unit(
-    q: _Columns, joints: Sequence[str], kinds: Sequence[str], robot: RobotModel
+    q: Columns, joints: Sequence[str], kinds: Sequence[str], robot: RobotModel
 ) -> tuple[str, str]:
     """Return rad or deg for the hinges, by their name, or by their limits; and the reason."""
     hinges = [i for i, kind in enumerate(kinds) if kind == "hinge"]

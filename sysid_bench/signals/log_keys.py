@@ -27,6 +27,14 @@ BASE: Final = (
 """Signals of the motion of a floating base."""
 
 
+GAIN_ADVICE: Final = (
+    "write gain = [...] in N m/A (N/A), the torque constant of the data sheet, and ratio = [...] "
+    "where it is the motor's; or weigh a known load with gain = 1.0, which is taken as stated: its "
+    "mass over the one that --task payload finds is the gain"
+)
+"""How one gets the gain of a current."""
+
+
 def _one_or_more(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 

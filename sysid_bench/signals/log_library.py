@@ -21,7 +21,7 @@ def log_library(module: str, path: Path) -> Any:
     try:
         return import_module(module)
     except ImportError as error:
-        library = module.partition(".")[0]
+        library = module.partition(".")[0].replace("google", "protobuf")
         raise UsageError(
             f"{path} needs the library {library}, which is not installed: "
             "pip install 'sysid-bench[logs]'."

@@ -10,7 +10,16 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_checks import held_rows
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
-from sysid_bench.signals.log_keys import BASE, COMMANDED, SIGNALS, TOLD, Base, Signal, Wrench
+from sysid_bench.signals.log_keys import (
+    BASE,
+    COMMANDED,
+    GAIN_ADVICE,
+    SIGNALS,
+    TOLD,
+    Base,
+    Signal,
+    Wrench,
+)
 from sysid_bench.signals.log_source import read_columns
 from sysid_bench.types import Array
 
@@ -293,11 +302,8 @@ def _unit_scale(log: LogDescription, name: str, part: Signal, kinds: Sequence[st
                 f"{where}: {unit!r} does not fit, since it {movement}; write one unit for each "
                 f"joint, here one of {', '.join(fitting)}."
             )
-        if unit in _CURRENT and part.gain == (1.0,):
-            raise UsageError(
-                f"{log.source}: {name} is a current in {unit}; write gain = [...] in N m/A (or "
-                "N/A), and ratio = [...] where it is the motor's."
-            )
+        if unit in _CURRENT and "gain" not in part.model_fields_set:
+            raise UsageError(f"{log.source}: {name} is a current in {unit}: {GAIN_ADVICE}.")
         sizes.append(fitting[unit])
     return factors * sizes
 

@@ -203,7 +203,6 @@ def merge_sources(log: LogDescription) -> _Joined:
     for name, x in parts.items():
         names[name] = tuple(range(width, width + x.shape[1]))
         width += x.shape[1]
-    truncated = max(one.table.truncated for one in opened)
     values = np.concatenate(list(parts.values()), axis=1)
     t, outside = first.t[rows], len(rows) - int(rows.sum())
     text = (
@@ -211,7 +210,7 @@ def merge_sources(log: LogDescription) -> _Joined:
         f"{first.source.file}, linear for signals, the previous value for commands, over the "
         f"common {t[-1] - t[0]:.4g} s; {outside} of {len(rows)} samples lie outside"
     )
-    table = LogTable(log.source, values, names, truncated)
+    table = LogTable(log.source, values, names, max(one.table.truncated for one in opened))
     return _Joined(table, t, Finding("joined", outside, text))
 
 

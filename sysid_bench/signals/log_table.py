@@ -1,7 +1,7 @@
 """Table of numbers that a log reader returns: columns by index from 1, or by name."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +16,10 @@ LARGEST_LOG: Final = 2**30
 """Bytes of a recorded file, and of its numbers once they are unpacked."""
 
 
+_SHORT: Final = 100
+"""Entries of an array that is not a series of samples, but one number or word for each joint."""
+
+
 def check_size(path: Path, size: int, advice: str = "") -> None:
     """Raise UsageError for a file that unpacks to more bytes than a log may have."""
     if size > LARGEST_LOG:
@@ -28,7 +32,8 @@ def check_size(path: Path, size: int, advice: str = "") -> None:
 class LogTable:
     """Numbers (N, c) of a file, NaN for empty cells; `names` maps a name to the indices (from 0) of
     its columns, several for an array; `truncated`: number of incomplete samples dropped at its
-    end; `rate` (Hz) that the file states; `unit_doubt`: why its positions need a stated unit."""
+    end; `rate` (Hz) that the file states; `unit_doubt`: why its positions need a stated unit;
+    `constants`: short lists of numbers or words beside the samples, such as gains."""
 
     path: Path
     values: Array
@@ -36,6 +41,7 @@ class LogTable:
     truncated: int = 0
     rate: float | None = None
     unit_doubt: str = ""
+    constants: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
     def columns(self, chosen: Sequence[int | str]) -> Array:
         """Return (N, k) of columns by index from 1 or by name.
@@ -106,10 +112,17 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     if N == 0:
         raise UsageError(f"{path} holds no array of numbers.")
     kept = {name: x for name, x in numeric.items() if N in x.shape}
+    listed = {name: x for name, x in arrays.items() if getattr(x, "ndim", 0) == 1}
+    constants = {
+        name: tuple(np.asarray(x).tolist())
+        for name, x in listed.items()
+        if 0 < x.shape[0] < min(N, _SHORT) and x.dtype.kind in "fiuU"
+    }
     if len(kept) == 1:
         ((name, x),) = kept.items()
         values = _time_by_rows(np.asarray(x, dtype=float), N)
-        return LogTable(path, values, array_names(name, range(values.shape[1])))
+        only = array_names(name, range(values.shape[1]))
+        return LogTable(path, values, only, constants=constants)
     widths = [1 if x.ndim == 1 else x.size // N for x in kept.values()]
     # Arrays that lie in a file are read one by one, so that memory holds the table and one of them.
     values, first = np.empty((N, sum(widths))), 0
@@ -119,7 +132,7 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
         names |= array_names(name, range(first, first + width))
         first += width
         report(path, first, values.shape[1])
-    return LogTable(path, values, names)
+    return LogTable(path, values, names, constants=constants)
 
 
 def _numeric_arrays(path: Path, arrays: Mapping[str, Any]) -> dict[str, Any]:

@@ -67,11 +67,28 @@ def test_the_command_prints_and_writes_what_its_contract_says(folder: Path) -> N
     assert {"parameters", "direction"} == result["confounded"][0].keys()
     assert result["written"]["gap"] < 1e-6
     assert result["rollout_error"] < 0.05
+    assert result["rollout_error"] < min(
+        result["rollout_error_null"], result["rollout_error_command"]
+    )
+    assert result["beaten_by"] == ""
+    assert f"{1e3 * result['rollout_error_command']:.2f} mrad" in found.output
     low, high = result["delay_interval"]
     assert low <= result["delay"] <= high
     for name, joint in result["joints"].items():
         for term in joint["at_bound"]:
             assert f"{name}.{term}" in found.output
+
+
+def test_values_worse_than_those_of_the_file_are_a_failure(folder: Path) -> None:
+    """The file of the true robot is not improved by a recording whose gains are wrong."""
+    model, wrong = folder / "leg.xml", in_memory(SLOW, kp=3.0)
+    found = sysid_bench.identify(model, task="actuators", log=wrong)
+    assert found.beaten_by
+    assert found.failure == found.warnings[0]
+    assert found.summary().startswith(f"warning: {found.failure}")
+    passed = sysid_bench.identify(model, task="actuators", log=wrong, accept=("worse",))
+    assert passed.failure is None
+    assert passed.beaten_by == found.beaten_by
 
 
 def test_two_sets_of_gains_are_not_confounded(folder: Path) -> None:

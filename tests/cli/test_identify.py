@@ -215,7 +215,7 @@ def test_least_squares_says_nothing_about_what_it_cannot_identify(name: str) -> 
 def test_targets_are_refused_before_anything_runs(tmp_path: Path) -> None:
     source = named_robot("ur5").manifest.path
     for target, task, error in (
-        (tmp_path / "a.xml", "link", UsageError),
+        (tmp_path / "a.txt", "link", UsageError),
         (tmp_path / "nowhere" / "a.urdf", "link", UsageError),
         (source, "link", UsageError),
         (tmp_path / "a.urdf", "payload", UnsupportedError),
@@ -388,3 +388,18 @@ def test_deviations_are_reported_with_where_they_come_from(
     assert all((entry["std"] is None) == (kind is None) for entry in result["base"])
     lines = result.summary()
     assert ("±" in lines) == (kind is not None)
+
+
+@pytest.mark.parametrize("robot", ["so100", "ur5", "scara", "dvrk_psm"])
+def test_what_the_rank_rule_drops_is_said_and_is_the_error_of_exact_data(robot: str) -> None:
+    """Exact data are answered to 1e-9, or the reason is printed."""
+    result = identify(robot)
+    rule = [text for text in result.warnings if text.startswith("the rank rule drops")]
+    reason = [text for text in result.warnings if text.startswith("exact data, and")]
+    assert bool(rule) == (result.near_degenerate > 0)
+    assert bool(reason) == (result.torque_error > 1e-9)
+    for text in rule:
+        assert f"gap {result.rank_gap:.3g}" in text
+        assert "e-06 of the whole" in text
+    for text in reason:
+        assert "nearly dependent directions" in text

@@ -10,6 +10,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from sysid_bench.models.load import load_robot
+
 from .conftest import Run, one_sentence, rows_of, small_suite
 
 FIELDS = {
@@ -185,3 +187,25 @@ def test_a_suite_measures_coverage_and_efficiency(cli: Run, tmp_path: Path) -> N
     assert float(of["wls"]["value"]) < float(of["ar-gls"]["value"])  # of the same noise
     assert 0.6 < float(of["ar-gls"]["value"]) < 1.2
     assert "coverage.svg" in {path.name for path in (tmp_path / "out" / "figures").iterdir()}
+
+
+def test_gravity_stands_before_the_verb(cli: Run, tmp_path: Path) -> None:
+    # Gravity across the first axis shows two more parameters of the first link.
+    for gravity, count in (("0,0,9.81", 36), ("9.81 0 0", 38)):
+        done = cli("--gravity", gravity, "basis", "ur5", "--json")
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["inertial"] == count
+    for words, part in (
+        (("--gravity", "1,2", "basis", "ur5"), "as 0,0,-9.81"),
+        (("--gravity", "0,0,-9.81", "status", str(tmp_path)), "on the line"),
+        (("basis", "ur5", "--gravity", "0,0,-9.81"), "before the verb"),
+    ):
+        done = cli(*words)
+        assert done.returncode == 2
+        assert part in done.stderr
+
+
+def test_gravity_of_a_source_is_that_of_the_robot() -> None:
+    robot = load_robot("ur5?gravity=0,0,9.81")
+    assert robot.mj.opt.gravity.tolist() == [0, 0, 9.81]
+    assert robot.manifest.gravity == (0, 0, 9.81)

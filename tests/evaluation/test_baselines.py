@@ -131,25 +131,25 @@ def test_a_row_names_what_beats_it(robot: str) -> None:
 
 
 def test_as_good_as_a_baseline_is_not_beaten() -> None:
-    against = Baselines(null=0.2, mean=0.9)
+    against = Baselines({"file-friction": 0.2, "mean-torque": 0.9, "zero-torque": 1.0})
     assert against.beaten_by(0.2 * TIE) == []
     assert against.beaten_by(0.22) == ["file-friction"]
     assert against.beaten_by(1.1) == ["file-friction", "mean-torque", "zero-torque"]
     assert against.beaten_by(None) == []
     # An exact prior is not beaten by rounding.
-    assert Baselines(null=0.0).beaten_by(1e-12) == []
+    assert Baselines({"file": 0.0}).beaten_by(1e-12) == []
 
 
 def test_joint_terms_alone_are_compared_with_the_values_of_the_file() -> None:
     prepared = ready(robot="ur5", task="actuators", noise={"tau_relative": 0.01})
     found = baselines(prepared.problem, prepared.held_out)
     assert prepared.problem.prior is not None
-    assert found.null_name == "file"
+    assert list(found.errors) == ["file", "mean-torque", "zero-torque"]
     assert found.null == pytest.approx(
         error_of(prepared, prepared.problem.base.K @ prepared.problem.prior.theta)
     )
     load = ready(robot="ur5", task="payload", payload="box-2kg")
-    assert load.baselines.null_name == "file"
+    assert next(iter(load.baselines.errors)) == "file"
     assert estimated(FileFriction(), load.problem).status == "unsupported"
 
 

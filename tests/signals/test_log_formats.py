@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from rosbags import rosbag1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -71,6 +72,93 @@ def test_joint_states_in_any_order_are_sorted_by_name(
         np.testing.assert_array_equal(table.columns(["j2_effort"])[:, 0], numbers[:, 2, 2])
         np.testing.assert_array_equal(table.columns(["t"])[:, 0], np.arange(50) * 5_000_000 * 1e-9)
     assert set(recorded_files(bag)) == {*bag.iterdir()}
+
+
+def test_bags_of_ros_1_are_read(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types, numbers = store.types, np.random.default_rng(0).normal(size=(50, 3, 2))
+    with rosbag1.Writer(tmp_path / "run.bag") as bag:
+        topic = bag.add_connection("/joint_states", JOINT_STATE, typestore=store)
+        for i, (q, v, tau) in enumerate(numbers):
+            header = types["std_msgs/msg/Header"](
+                seq=i,
+                stamp=types["builtin_interfaces/msg/Time"](
+                    sec=i // 200, nanosec=i % 200 * 5_000_000
+                ),
+                frame_id="",
+            )
+            message = types[JOINT_STATE](
+                header=header, name=["b", "a"], position=q, velocity=v, effort=tau
+            )
+            raw = store.serialize_ros1(message, JOINT_STATE)
+            bag.write(topic, 10**18 + 5_000_000 * i, bytes(raw))
+    table = read_table(tmp_path / "run.bag")
+    for k, signal in enumerate(("position", "velocity", "effort")):
+        np.testing.assert_array_equal(table.columns([signal]), numbers[:, k, ::-1])
+    np.testing.assert_allclose(np.diff(table.columns(["t"])[:, 0]), 0.005, rtol=1e-9)
+
+
+def write_mcap(file: Path, encoding: str, schema: tuple[str, bytes], messages: list[bytes]) -> None:
+    """An MCAP file of a recorder that is not of ROS."""
+    writer = pytest.importorskip("mcap.writer").Writer(str(file))
+    writer.start(profile="", library="another")
+    kind = writer.register_schema(schema[0], encoding, schema[1])
+    channel = writer.register_channel("/arm", encoding, kind)
+    for i, data in enumerate(messages):
+        writer.add_message(channel, 10**18 + 5_000_000 * i, data, 10**18 + 5_000_000 * i)
+    writer.finish()
+
+
+@pytest.mark.parametrize("by_name", [True, False])
+def test_messages_in_json_are_read(by_name: bool, tmp_path: Path) -> None:
+    numbers = np.random.default_rng(0).normal(size=(60, 2, 2))
+    messages = []
+    for q, tau in numbers.tolist():
+        fields: dict[str, Any] = {"name": ["j2", "j1"], "position": q, "effort": tau}
+        if not by_name:
+            joints = zip(("j2", "j1"), q, tau, strict=True)
+            fields = {"arm": [{"name": n, "position": x, "effort": y} for n, x, y in joints]}
+        messages.append(json.dumps(fields).encode())
+    write_mcap(tmp_path / "run.mcap", "json", ("Arm", b"{}"), messages)
+    table = read_table(tmp_path / "run.mcap")
+    column = "j2_effort" if by_name else "arm:j2.effort"
+    np.testing.assert_array_equal(table.columns([column])[:, 0], numbers[:, 1, 0])
+    np.testing.assert_allclose(np.diff(table.columns(["t"])[:, 0]), 0.005, rtol=1e-9)
+    data = (tmp_path / "run.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
+    with pytest.raises(UsageError, match="MCAP file that can be read"):
+        read_table(tmp_path / "cut.mcap")
+    write_mcap(tmp_path / "other.mcap", "flatbuffer", ("Arm", b""), messages)
+    with pytest.raises(UsageError, match="'flatbuffer'; json, protobuf"):
+        read_table(tmp_path / "other.mcap")
+
+
+def test_messages_in_protobuf_are_read_by_their_descriptors(tmp_path: Path) -> None:
+    pb2 = pytest.importorskip("google.protobuf.descriptor_pb2")
+    pool = pytest.importorskip("google.protobuf.descriptor_pool").DescriptorPool()
+    factory = pytest.importorskip("google.protobuf.message_factory")
+    inner = pb2.FileDescriptorProto(name="joint.proto", package="lab", syntax="proto3")
+    joint = inner.message_type.add(name="Joint")
+    joint.field.add(name="name", number=1, type=9, label=1)
+    joint.field.add(name="position", number=2, type=1, label=1)
+    outer = pb2.FileDescriptorProto(name="arm.proto", package="lab", syntax="proto3")
+    outer.dependency.append("joint.proto")
+    arm = outer.message_type.add(name="Arm")
+    arm.field.add(name="joints", number=1, type=11, label=3, type_name=".lab.Joint")
+    arm.field.add(name="torques", number=2, type=1, label=3)
+    for part in (inner, outer):
+        pool.AddSerializedFile(part.SerializeToString())
+    kind = factory.GetMessageClass(pool.FindMessageTypeByName("lab.Arm"))
+    numbers = np.random.default_rng(0).normal(size=(60, 2, 2))
+    messages = []
+    for q, tau in numbers.tolist():
+        joints = [{"name": n, "position": x} for n, x in zip(("a", "b"), q, strict=True)]
+        messages.append(kind(joints=joints, torques=tau).SerializeToString())
+    schema = pb2.FileDescriptorSet(file=[outer, inner]).SerializeToString()
+    write_mcap(tmp_path / "run.mcap", "protobuf", ("lab.Arm", schema), messages)
+    table = read_table(tmp_path / "run.mcap")
+    names = ["joints:a.position", "joints:b.position", "torques:1", "torques:2"]
+    np.testing.assert_array_equal(table.columns(names), numbers.reshape(60, 4))
 
 
 def test_topics_and_joints_that_are_not_clear_are_asked_for(tmp_path: Path) -> None:

@@ -309,10 +309,10 @@ def test_the_rate_of_a_replay_divides_that_of_controllers(rate: float) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["twin", "ur5"], "--log"),
+        (["twin", "scara"], "--log"),
         (["twin", "ur5", "-o", "twin.xml"], "plant file"),
         (["twin", "ur10e", "ur10", "--null"], "one robot alone"),
-        (["transfer", "ur5"], "No dataset is called 'ur5'"),
+        (["transfer", "scara"], "No dataset is called 'scara'"),
     ],
 )
 def test_mistakes_are_one_sentence(arguments: list[str], words: str) -> None:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,10 +22,12 @@ from sysid_bench.errors import (
     first_names,
     unknown_name,
 )
+from sysid_bench.evaluation.baselines import COMMAND, FILE, Baselines
 from sysid_bench.evaluation.score import base_parameters, data_figures, score_recorded
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.input_files import read_text
 from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.robot import RobotModel
 from sysid_bench.numerics import qr_factor
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import (
@@ -40,7 +43,7 @@ from sysid_bench.types import (
 )
 from sysid_bench.words import AT_BOUND, PUBLISHED
 
-FILE: Final = "published.json"
+VALUES_FILE: Final = "published.json"
 _WORDS: Final = ("armature", "damping", "frictionloss")
 
 
@@ -59,7 +62,7 @@ def published_drives(name: str, recording: Path, joints: Sequence[str]) -> Publi
 
     Raises UsageError for a file, name, joint or value that is not there.
     """
-    file = recording.parent / FILE
+    file = recording.parent / VALUES_FILE
     try:
         written = json.loads(read_text(file))
     except (OSError, ValueError) as error:
@@ -154,7 +157,7 @@ class DriveSource:
             for part in (*self.training, *self.tests.values())
             for finding in part.log.findings
         )
-        return {
+        return rollout_fields(self.position_baselines) | {
             "log": {
                 "delay": self.found.delay,
                 "delay_low": low,
@@ -174,6 +177,10 @@ class DriveSource:
             return vars(scores)
         values = beta.reshape(-1, len(UNKNOWNS))
         scores = replace(scores, rollout_error=self._rollout(method, values))
+        positions: Row = {}
+        if scores.rollout_error is not None:
+            beaten = self.position_baselines.beaten_by(scores.rollout_error)
+            positions = {"beaten_by": ", ".join(beaten)}
         at_bound = values[:, :SIGNED] <= NEAR * values[:, :SIGNED].max(axis=0)
         table = [
             {
@@ -188,7 +195,12 @@ class DriveSource:
             for j, joint in enumerate(self.found.rows.joints)
             for i, term in enumerate(UNKNOWNS)
         ]
-        return vars(scores) | {"parameters_table": table}
+        return vars(scores) | positions | {"parameters_table": table}
+
+    @cached_property
+    def position_baselines(self) -> Baselines:
+        """Errors of positions without an identification."""
+        return position_baselines(list(self.tests.values()), self.found)
 
     def _rollout(self, method: Any, values: Array) -> float | None:
         """RMS error (rad, m) of the simulated positions of all tests; None of measured torques and
@@ -210,6 +222,30 @@ class DriveSource:
                 with suppress(SimulationError):
                     errors.append(_error(tests, drives))
         return min(errors, default=None)
+
+
+def position_baselines(parts: Sequence[DrivePart], found: DriveEstimate) -> Baselines:
+    """Return the errors (rad, m) of the model file's own values, simulated with the delay that was
+    found, and of the commanded positions themselves; none where nothing is simulated."""
+    judged = [(part, part.log.commands) for part in parts if part.log.commands is not None]
+    if not judged or missing_simulation(judged[0][0].robot):
+        return Baselines()
+    joints, errors = found.rows.joints, {}
+    own = model_values(judged[0][0].robot, joints)
+    with suppress(SimulationError):  # without any friction a robot may diverge
+        errors[FILE] = _error([part for part, _ in judged], Drives(joints, own, found.delay))
+    of_joints = [(commands.of(joints), part.rows) for part, commands in judged]
+    squares = [np.mean((one.q_des - one.q)[rows] ** 2) for one, rows in of_joints]
+    return Baselines({**errors, COMMAND: float(np.sqrt(np.mean(squares)))})
+
+
+def rollout_fields(against: Baselines) -> Row:
+    """Return the fields of a row with the baselines of positions."""
+    errors = against.errors
+    return {
+        "rollout_error_null": errors.get(FILE),
+        "rollout_error_command": errors.get(COMMAND),
+    }
 
 
 def _error(tests: Sequence[DrivePart], drives: Drives) -> float:
@@ -294,10 +330,14 @@ def _prior_values(
         return None, None
     if prior != "model":
         raise unknown_name("prior of actuators", prior, ("model", "none", f"{PUBLISHED}NAME"))
-    terms, rows = part.robot.joint_terms, part.robot.rows
-    dofs = [rows.index(joint) for joint in joints]
+    return model_values(part.robot, joints), None
+
+
+def model_values(robot: RobotModel, joints: Sequence[str]) -> Array:
+    """Return the values (k, 4) of the model file."""
+    terms, dofs = robot.joint_terms, [robot.rows.index(joint) for joint in joints]
     stated = [terms.armature, terms.viscous, terms.coulomb, terms.offset]
-    return np.stack([x[dofs] for x in stated], axis=1), None
+    return np.stack([x[dofs] for x in stated], axis=1)
 
 
 def _experiment(problem: Problem, part: DrivePart) -> Experiment:

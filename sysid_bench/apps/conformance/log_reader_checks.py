@@ -205,26 +205,40 @@ def _write_bag(file: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         with bags.Writer(Path(folder, "bag"), version=9, storage_plugin=plugin) as bag:
             topic = bag.add_connection("/joint_states", JOINT_STATE, typestore=store)
-            for stamp, raw in _joint_states(store):
-                bag.write(topic, stamp, raw)
+            for stamp, message in _joint_states(store):
+                bag.write(topic, stamp, bytes(store.serialize_cdr(message, JOINT_STATE)))
         shutil.copyfile(next(Path(folder, "bag").glob(f"*{file.suffix}")), file)
 
 
-def _joint_states(store: Any) -> Iterator[tuple[int, bytes]]:
-    """Stamp (ns) and bytes of the signals as messages, the joints in changing order."""
+def _write_first_bag(file: Path) -> None:
+    """The same bag of ROS 1."""
+    types = log_library("rosbags.typesys", file)
+    store = types.get_typestore(types.Stores.ROS1_NOETIC)
+    with log_library("rosbags.rosbag1", file).Writer(file) as bag:
+        topic = bag.add_connection("/joint_states", JOINT_STATE, typestore=store)
+        for stamp, message in _joint_states(store):
+            bag.write(topic, stamp, bytes(store.serialize_ros1(message, JOINT_STATE)))
+
+
+def _joint_states(store: Any) -> Iterator[tuple[int, Any]]:
+    """Stamp (ns) and message of the signals, the joints in changing order."""
     state, header = store.types[JOINT_STATE], store.types["std_msgs/msg/Header"]
     time = store.types["builtin_interfaces/msg/Time"]
     signals = _signals()
+    # Headers of ROS 1 have a number, too.
+    number = {"seq": 0} if "seq" in header.__dataclass_fields__ else {}
     for i, t in enumerate(signals["t"]):
         order, stamp = [[0, 1], [1, 0]][i % 2], round(t * 1e9)
         message = state(
-            header=header(stamp=time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id=""),
+            header=header(
+                stamp=time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="", **number
+            ),
             name=[("j1", "j2")[k] for k in order],
             position=signals["q"][i, order],
             velocity=np.zeros(0),
             effort=signals["tau"][i, order],
         )
-        yield stamp, bytes(store.serialize_cdr(message, JOINT_STATE))
+        yield stamp, message
 
 
 def _write_lerobot(folder: Path) -> None:
@@ -256,6 +270,7 @@ WRITERS: Final[Mapping[str, Callable[[Path], None]]] = {
     ".h5": _write_hdf5,
     ".hdf5": _write_hdf5,
     ".rrd": _write_rerun,
+    ".bag": _write_first_bag,
     ".db3": _write_bag,
     ".mcap": _write_bag,
     "meta/info.json": _write_lerobot,

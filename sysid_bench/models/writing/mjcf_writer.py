@@ -62,7 +62,7 @@ def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
         inertial = body.find("inertial")
         mass, com, inertia = body_mass_inertia(phi)
         values: dict[str, str | None] = {"pos": values_text(*com), "mass": values_text(mass)}
-        values |= _inertia(inertia)
+        values |= inertia_attributes(inertia)
         if inertial is not None:
             yield from edit_values(data, inertial, {**dict.fromkeys(_POSE), **values})
         # Without an <inertial> MuJoCo would take the inertia of the shapes.
@@ -124,7 +124,7 @@ def _joints_of(body: Element) -> Iterator[Element]:
             yield from _joints_of(child)
 
 
-def _inertia(inertia: Array) -> dict[str, str | None]:
+def inertia_attributes(inertia: Array) -> dict[str, str | None]:
     """Attributes of an inertia (3, 3) about the centre of mass: xx yy zz xy xz yz, or, for a
     lamina, principal moments and their axes."""
     density = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)

@@ -148,7 +148,7 @@ def check_written(path: Path, text: str, update: Update) -> None:
     # Torques of the text against those of the source with its arrays changed in memory: two ways to
     # the same model, one of them without any text.
     motion = random_states(robot, 10, np.random.default_rng(0))
-    theirs, ours = _torque(again.mj, motion), _torque(_with(update, phi), motion)
+    theirs, ours = torque_of(again.mj, motion), torque_of(updated_model(update, phi), motion)
     gap = float(np.abs(theirs - ours).max()) / (float(np.abs(ours).max()) or 1.0)
     if not gap <= TORQUES:  # true for NaN, too
         raise ModelError(
@@ -195,7 +195,7 @@ def _requested_phi(update: Update, read: mujoco.MjModel) -> Array:
     return requested
 
 
-def _with(update: Update, phi: Array) -> mujoco.MjModel:
+def updated_model(update: Update, phi: Array) -> mujoco.MjModel:
     """The compiled source with the new numbers written into its arrays, without any text."""
     robot, spec = update.robot, update.robot.spec.copy()
     for body in spec.bodies:
@@ -223,7 +223,7 @@ def _with(update: Update, phi: Array) -> mujoco.MjModel:
     return mj
 
 
-def _torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
+def torque_of(mj: mujoco.MjModel, motion: Trajectory) -> Array:
     """MuJoCo's inverse dynamics (N, nv) with springs, dampers and armature, without contacts."""
     mj.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     data = mujoco.MjData(mj)

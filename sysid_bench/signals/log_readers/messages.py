@@ -1,10 +1,12 @@
-"""Files of messages over time: ROS 2 bags, read without ROS, and Rerun recordings."""
+"""Files of messages over time: bags of ROS 1 and 2, read without ROS, other MCAP files, and Rerun
+recordings."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -13,6 +15,7 @@ from sysid_bench.errors import UsageError, first_names
 from sysid_bench.input_files import check_file, is_file
 from sysid_bench.signals.log_library import library_errors, log_library, report
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, columns_with_names
+from sysid_bench.signals.mcap_messages import is_of_another, read_messages
 from sysid_bench.types import Array
 
 JOINT_STATE: Final = "sensor_msgs/msg/JointState"
@@ -36,11 +39,14 @@ class Rosbag2:
 
     Joint states give `<joint>_position`, `<joint>_velocity` and `<joint>_effort` in the order of
     the names, whatever the order in each message; where messages differ in their joints, those
-    with `joint` are read. Other messages give their numbers by field ("wrench.force.x").
+    with `joint` are read. Other messages give their numbers by field ("wrench.force.x"), also those
+    of MCAP files of other recorders, in JSON or protobuf.
     """
 
     topic: str = ""
     joint: str = ""
+    name: ClassVar[str] = "rosbag2"
+    version: ClassVar[int] = 2
     suffixes: ClassVar[tuple[str, ...]] = (".db3", ".mcap")
     folder_files: ClassVar[tuple[str, ...]] = ("metadata.yaml", "*.db3", "*.mcap", "*.zstd")
 
@@ -50,13 +56,16 @@ class Rosbag2:
         inner = [file for pattern in self.folder_files for file in path.glob(pattern)]
         for file in [path] if is_file(path) else inner:
             check_file(file, _LARGEST)
-        library = log_library("rosbags.rosbag2", path)
-        with library_errors(path, "a ROS 2 bag that can be read"), library.Reader(path) as bag:
+        if is_file(path) and path.suffix.lower() == ".mcap" and is_of_another(path):
+            return self._read_mcap(path)
+        library = log_library(f"rosbags.{self.name}", path)
+        kind = f"a ROS {self.version} bag that can be read"
+        with library_errors(path, kind), library.Reader(path) as bag:
             connections = self._of_topic(path, bag.connections)
             count = sum(connection.msgcount for connection in connections)
             if count * 8 > LARGEST_LOG:
                 raise UsageError(f"{path} states {count} messages, more than a log may have.")
-            messages = _messages(path, bag, connections, count)
+            messages = _messages(path, bag, connections, self.version)
             if connections[0].msgtype == JOINT_STATE:
                 stamps, headers, columns = _joint_columns(path, messages, self.joint)
             else:
@@ -64,8 +73,20 @@ class Rosbag2:
             if not stamps:
                 raise UsageError(f"{path} holds no message of {connections[0].topic!r}.")
             start = min(stamps[0], bag.start_time)
-        columns = {**_seconds(stamps, headers, start), **columns}
-        return LogTable(path, np.column_stack(list(columns.values())), _indices(list(columns)))
+        return _table(path, (stamps, headers, columns), start)
+
+    def _read_mcap(self, path: Path) -> LogTable:
+        """Return the messages of a recorder that is not of ROS."""
+        with library_errors(path, "an MCAP file that can be read"):
+            messages = list(read_messages(path, self.topic))
+            if not messages:
+                raise UsageError(f"{path} holds no message of {self.topic or 'its only topic'!r}.")
+            states = [(stamp, _joint_state(message)) for stamp, message in messages]
+            if all(state is not None for _, state in states):
+                rows = _joint_columns(path, states, self.joint)
+            else:
+                rows = _scalar_columns(messages)
+        return _table(path, rows, rows[0][0])
 
     def _of_topic(self, path: Path, connections: Sequence[Any]) -> list[Any]:
         """Return the connections of the topic; raises UsageError with all topics where it is not
@@ -78,8 +99,33 @@ class Rosbag2:
         listed = [f"{c.topic} ({c.msgtype}, {c.msgcount} messages)" for c in connections]
         raise UsageError(
             f"{path}: which topic? Name one of {first_names(listed)} with reader = {{ use = "
-            "'rosbag2', topic = '...' }."
+            f"{self.name!r}, topic = '...' }}."
         )
+
+
+@dataclass(frozen=True)
+class Rosbag1(Rosbag2):
+    """The same of a bag of ROS 1."""
+
+    name: ClassVar[str] = "rosbag1"
+    version: ClassVar[int] = 1
+    suffixes: ClassVar[tuple[str, ...]] = (".bag",)
+    folder_files: ClassVar[tuple[str, ...]] = ()
+
+
+def _table(path: Path, rows: _Rows, start: int) -> LogTable:
+    """Return messages as a table, with times from an instant (ns)."""
+    stamps, headers, columns = rows
+    columns = {**_seconds(stamps, headers, start), **columns}
+    return LogTable(path, np.column_stack(list(columns.values())), _indices(list(columns)))
+
+
+def _joint_state(message: Any) -> Any:
+    """Return a decoded message that names joints as that of ROS does, None for another one."""
+    if not (isinstance(message, Mapping) and isinstance(message.get("name"), list)):
+        return None
+    parts = {name: np.array(message.get(name) or [], dtype=float) for name in _JOINT_SIGNALS}
+    return SimpleNamespace(name=message["name"], **parts)
 
 
 def _seconds(stamps: Sequence[int], headers: Sequence[int], start: int) -> dict[str, Array]:
@@ -104,12 +150,16 @@ def _indices(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
 
 
 def _messages(
-    path: Path, bag: Any, connections: Sequence[Any], total: int
+    path: Path, bag: Any, connections: Sequence[Any], version: int
 ) -> Iterator[tuple[int, Any]]:
     """Yield bag stamp (ns) and content of each message, of types of ROS or of the bag itself;
     raises ValueError for a type that nobody defines."""
     system = log_library("rosbags.typesys", path)
-    store = system.get_typestore(system.Stores.LATEST)
+    is_first = version == 1
+    stores = system.Stores
+    store = system.get_typestore(stores.ROS1_NOETIC if is_first else stores.LATEST)
+    deserialize = store.deserialize_ros1 if is_first else store.deserialize_cdr
+    total = sum(connection.msgcount for connection in connections)
     for number, (connection, stamp, raw) in enumerate(bag.messages(connections)):
         if number % 1000 == 0:
             report(path, number, total)
@@ -122,7 +172,7 @@ def _messages(
             else:
                 raise ValueError(f"the type {connection.msgtype} is not defined in the bag")
             store.register({k: v for k, v in found.items() if k not in store.types})
-        yield stamp, store.deserialize_cdr(raw, connection.msgtype)
+        yield stamp, deserialize(raw, connection.msgtype)
 
 
 def _joint_columns(path: Path, messages: Iterable[tuple[int, Any]], joint: str) -> _Rows:
@@ -202,7 +252,12 @@ def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
         yield from ((f"{name}:{i}", float(x)) for i, x in enumerate(value.ravel(), start=1))
     elif isinstance(value, list):
         for i, part in enumerate(value, start=1):
-            yield from _numbers(f"{name}:{i}", part)
+            # Of joints in a list, each with its name, the name is known.
+            own = part.get("name") if isinstance(part, Mapping) else None
+            yield from _numbers(f"{name}:{own if isinstance(own, str) else i}", part)
+    elif isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _numbers(f"{name}.{key}" if name else str(key), part)
     elif is_dataclass(value):
         for field in (field.name for field in fields(value) if field.name != "__msgtype__"):
             yield from _numbers(f"{name}.{field}" if name else field, getattr(value, field))

@@ -1,7 +1,7 @@
 """Result of an identification of actuators: its fields and their text."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,10 +12,12 @@ from sysid_bench.apps.actuators.drive_estimate import (
     identify_drives,
     repeat_covariance,
 )
+from sysid_bench.apps.actuators.drive_experiment import rollout_fields
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows
 from sysid_bench.commands.identify_result import IdentifyResult
 from sysid_bench.commands.result import OMIT_NONE
 from sysid_bench.errors import SHOWN, first_names
+from sysid_bench.evaluation.baselines import COMMAND, FILE, WORDS, Baselines
 from sysid_bench.evaluation.intervals import confidence_level, level_text, new_value_interval
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
@@ -71,6 +73,7 @@ class ActuatorsResult(IdentifyResult):
     def summary(self) -> str:
         """Values of the joints, delay, what is confounded or on a bound, ranges, rollout."""
         lines = [
+            *self._opening_lines(),
             f"{self.model}, task {self.task}, {self.estimator}: {self.parameters} values of "
             f"{len(self.joints)} joints from {self.seconds:.1f} s, links of the model file",
             *self._delay_lines(),
@@ -137,8 +140,46 @@ class ActuatorsResult(IdentifyResult):
                 f"  simulated under the recorded commands of {one['log']}, {one['from']:.1f} to "
                 f"{one['to']:.1f} s, not fitted: RMS error {1e3 * one['rollout']:.2f} mrad (mm)"
             )
+        positions = {"null": WORDS[FILE], "command": WORDS[COMMAND]}
+        known = {x: self.scores.get(f"rollout_error_{key}") for key, x in positions.items()}
+        texts = [f"{words} {1e3 * x:.2f} mrad (mm)" for words, x in known.items() if x is not None]
+        if texts:
+            yield f"    of {', '.join(texts)}"
+        elif self.scores.get("torque_error_null") is not None:
+            yield f"  torque error {100 * self.scores['torque_error']:.3g} %; of {WORDS[FILE]} " + (
+                f"{100 * self.scores['torque_error_null']:.3g} %, zero torque 100 %"
+            )
         if self.written is not None:
             yield _written_line(self.written)
+
+
+def baseline_scores(against: Baselines, scores: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the scores of the baselines, of positions where these are simulated, and what beats
+    the answer."""
+    rollout = scores["rollout_error"]
+    error = scores["torque_error"] if rollout is None else rollout
+    beaten = {"beaten_by": ", ".join(against.beaten_by(error))}
+    if rollout is None:
+        return beaten | {"torque_error_null": against.null}
+    return beaten | rollout_fields(against)
+
+
+def judged_result(result: ActuatorsResult, against: Baselines, accepted: bool) -> ActuatorsResult:
+    """Return the result with the reason why it is worse than none, where it is; `accepted`: it may
+    pass."""
+    error, what = result.scores["rollout_error"], "rad (m), of simulated positions"
+    if error is None:
+        error, what = result.scores["torque_error"], "of the torque"
+    if not (names := against.beaten_by(error)):
+        return result
+    failure = (
+        f"error {error:.4g} {what} on samples that were not fitted: the answer errs more than "
+        f"{against.text(names)}. Check kp, kd, signs and times of the recording (sysid-bench "
+        "diagnose) and the model's links, or record a richer motion (sysid-bench excite --task "
+        "actuators)"
+    )
+    warnings = [failure, *result.warnings]
+    return replace(result, failure=None if accepted else failure, warnings=warnings)
 
 
 def _written_line(written: Mapping[str, Any]) -> str:

@@ -13,10 +13,12 @@ from sysid_bench.apps.actuators.bounded_fit import holds
 from sysid_bench.apps.actuators.commands.actuators_result import (
     LIMITS,
     ActuatorsResult,
+    baseline_scores,
     covariance_fields,
     delay_fields,
     file_fields,
     joint_fields,
+    judged_result,
     motor_fields,
 )
 from sysid_bench.apps.actuators.drive_estimate import (
@@ -24,6 +26,7 @@ from sysid_bench.apps.actuators.drive_estimate import (
     identify_drives,
     identify_recordings,
 )
+from sysid_bench.apps.actuators.drive_experiment import model_values, position_baselines
 from sysid_bench.apps.actuators.drive_part import (
     DrivePart,
     drive_manifest,
@@ -45,12 +48,13 @@ from sysid_bench.apps.actuators.written_model import (
     settings_text,
     written_mjcf,
 )
-from sysid_bench.commands.identify import Identify
+from sysid_bench.commands.identify import WORSE, Identify
 from sysid_bench.commands.identify_result import REPORTED
 from sysid_bench.commands.result import file_text
-from sysid_bench.commands.write_model import check_files, check_output_files
+from sysid_bench.commands.write_model import check_files, check_output_files, format_of
 from sysid_bench.diagnosis.finding import WARNING, Finding
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError, unknown_name
+from sysid_bench.evaluation.baselines import FILE, ZERO, ZERO_TORQUE, Baselines
 from sysid_bench.evaluation.torque_errors import known_rms, loaded_joints, rms
 from sysid_bench.experiments.recorded.model_prior import MODEL
 from sysid_bench.experiments.recorded.prepare import TERMS_TOO
@@ -92,8 +96,8 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
     check_output_files(request.files, None, logs)
     # Without tests the end of each recording is judged, and not fitted.
     share = 1.0 if tests else FITTED
-    fits = [read_part(log, manifest, request.accept) for log in training]
-    others = [read_part(log, manifest, request.accept) for log in tests.values()] or fits
+    fits = [read_part(log, manifest, request.findings) for log in training]
+    others = [read_part(log, manifest, request.findings) for log in tests.values()] or fits
     parts = [part.fit_part(share) for part in fits]
     judged = [part.test_part(share) for part in others]
     joints, delay = parts[0].log.joints, known_delay(parts)
@@ -115,6 +119,7 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
                   *_warnings(parts, errors)],
         **_fields(parts, errors),
     )  # fmt: skip
+    result = judged_result(result, errors.baselines, WORSE in request.accept)
     # At the bias of all files: their values then differ by the recordings alone.
     singles = single_rows(found.rows.bias) if len(parts) > 1 else []
     result = replace(result, **file_fields(singles, request.share, delay, result.joints))
@@ -155,6 +160,11 @@ def _check_targets(request: Identify, robot: RobotModel) -> Path | None:
     model_out, json_out, _ = request.files
     check_files(robot, request.task, model_out, json_out)
     reason = missing_simulation(robot)
+    if model_out is not None and format_of(model_out) != robot.format:
+        raise UsageError(
+            f"{str(model_out)!r}: the task 'actuators' writes {robot.manifest.path.name} in its "
+            "own format, with the drives; name it with that suffix."
+        )
     if model_out is not None and reason:
         raise UnsupportedError(
             f"--model-out: {reason}, so that a written file could not be checked; take the values "
@@ -208,24 +218,37 @@ class _DriveErrors:
         return errors
 
     @cached_property
-    def torque_rms(self) -> tuple[Array, Array]:
-        """RMS of the torque, filtered, and of its error (k,)."""
+    def _rows(self) -> DriveRows:
+        """Rows of all parts."""
         of = self.found.rows
-        rows = pooled_rows([
+        return pooled_rows([
             drive_rows(p.robot, p.log, of.joints, p.rows, of.more, of.bias) for p in self.parts
         ])  # fmt: skip
+
+    def torque_rms(self, factors: Array) -> tuple[Array, Array]:
+        """RMS of the torque, filtered, and of its error with some factors of the columns (k,)."""
+        rows = self._rows
         tau = rows.torque(self.found.delay)
-        error = tau - np.einsum("nkc,kc->nk", rows.features, self.found.fit.factors)
+        error = tau - np.einsum("nkc,kc->nk", rows.features[..., : factors.shape[1]], factors)
         torque, error = (np.sqrt(np.mean(x**2, axis=0)) for x in (tau + rows.links, error))
         return torque, error
 
-    @property
-    def torque_ratio(self) -> Array:
+    def torque_ratio(self, factors: Array) -> Array:
         """RMS error of the torque over its RMS (k,); NaN for joints with hardly any torque."""
-        kind, (torque, error) = scalar_kinds(self.parts[0].robot), self.torque_rms
+        kind, (torque, error) = scalar_kinds(self.parts[0].robot), self.torque_rms(factors)
         # A share of hardly any torque is that of noise.
         loaded = loaded_joints(torque, [kind[name] for name in self.found.rows.joints])
         return np.asarray(np.divide(error, torque, out=np.full_like(error, np.nan), where=loaded))
+
+    @cached_property
+    def baselines(self) -> Baselines:
+        """What an answer has to be better than: of positions, or of torques where none are
+        simulated."""
+        if self.position_errors:
+            return position_baselines(list(self.position_errors), self.found)
+        own = model_values(self.parts[0].robot, self.found.rows.joints)
+        null = known_rms(x if np.isfinite(x) else None for x in self.torque_ratio(own).tolist())
+        return Baselines(({} if null is None else {FILE: null}) | {ZERO: ZERO_TORQUE})
 
 
 # --- Fields -------------------------------------------------------------------------------------
@@ -233,14 +256,15 @@ class _DriveErrors:
 
 def _fields(parts: Sequence[DrivePart], judged: _DriveErrors) -> dict[str, Any]:
     """Fields of the fit and of its errors."""
-    found, ratio, errors = judged.found, judged.torque_ratio, judged.position_errors
+    found, errors = judged.found, judged.position_errors
+    ratio = judged.torque_ratio(found.fit.factors)
     names = list(found.rows.joints)
     squares = np.concatenate(list(errors.values())) if errors else None
     scores = dict.fromkeys(REPORTED) | {
         "rank": found.rank,
         "parameters": found.parameters,
         "rmse_train": rms(found.fit.errors),
-        "rmse_test": rms(judged.torque_rms[1]),
+        "rmse_test": rms(judged.torque_rms(found.fit.factors)[1]),
         "torque_error": known_rms(x if np.isfinite(x) else None for x in ratio.tolist()),
         "rollout_error": None if squares is None else float(np.sqrt(squares.mean())),
         # Bounded least squares always ends, with values that can exist.
@@ -248,6 +272,7 @@ def _fields(parts: Sequence[DrivePart], judged: _DriveErrors) -> dict[str, Any]:
         "converged": True,
         "stop": "",
     }
+    scores |= baseline_scores(judged.baselines, scores)
     return {
         "terms": [*UNKNOWNS, *found.rows.more],
         "rows": names,

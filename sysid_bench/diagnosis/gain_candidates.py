@@ -1,0 +1,145 @@
+"""Candidates that give each joint a gain of its own: wrong gains of some joints, and currents that
+are declared as torques.
+
+The gains k and the links theta that minimise sum_j |k_j tau_j - W_j theta - friction_j|^2 /
+|k_j tau_j|^2, theta near the model file, follow from each other in turn: each slope of the links'
+torque on the recorded one, and the links of the scaled torques. Factors on torques change nothing.
+"""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis, setting_edit
+from sysid_bench.diagnosis.near_model import PENALTY, TERMS
+from sysid_bench.types import Array
+
+TURNS: Final = 8
+"""Gains converge to two digits in as many turns, from those of the model file's links."""
+NORMAL: Final = 1.96
+CERTAIN: Final = 2.69
+"""Standard deviations of a decision at 5 %: on one joint, and on any of seven."""
+SMALLEST: Final = np.log(1.8)
+"""A smaller gain lies within the spread of masses between a model file and its robot."""
+ALIKE: Final = np.log(1.5)
+"""Gains that differ by less are one factor."""
+EXACT: Final = 1e-5
+"""Least mean squared residual, relative to a joint's torque, of an interval of a gain."""
+BLIND: Final = "joints whose torque is mostly friction; models without masses"
+
+
+def joint_gains(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield the candidate in which two or more joints have wrong gains: one factor, or, where no
+    joint is right and each has its own, the torque constants of currents.
+
+    A factor common to all joints, or of one, is left to `torque_gain`.
+    """
+    e = before.evidence
+    if e.placeholder:
+        return
+    logs, deviation = _log_gains(before)
+    wrong = np.abs(logs) > np.maximum(SMALLEST, CERTAIN * deviation)
+    found = logs[wrong]
+    if len(found) < 2:
+        return
+    middle, is_common = float(np.median(found)), float(np.ptp(found)) < ALIKE
+    # A joint is right where 1 is possible and the gain of the others is not.
+    right = (np.abs(logs) < NORMAL * deviation) & (np.abs(logs - middle) > NORMAL * deviation)
+    if not right.any() and is_common:
+        return
+    # Geared drives give more N m than they take A.
+    is_current = not right.any() and bool((found > 0).all())
+    if is_current:
+        # Joints that decide nothing take the gain of the others.
+        logs = np.where(wrong, logs, middle)
+    else:
+        logs = np.where(wrong, middle if is_common else logs, 0.0)
+    gains = np.exp(logs)
+    cured, edit = before.with_torque(np.diag(gains)), setting_edit(e, "tau", "gain", gains)
+    joints = tuple(range(e.count)) if is_current else tuple(np.flatnonzero(wrong).tolist())
+    if is_current:
+        listed = ", ".join(f"{e.joints[j]} {gains[j]:.3g}" for j in np.flatnonzero(wrong))
+        yield Candidate(
+            "current", joints, cured,
+            f"torques are off by a factor of their own in each joint ({listed}): currents?",
+            f'{edit}, and unit = "A" where these are currents', BLIND,
+        )  # fmt: skip
+        return
+    parts = _by_factor(before, gains, joints, is_common)
+    yield Candidate("gain", joints, cured, f"{parts}: a gear or a drive constant", edit, BLIND)
+
+
+def _by_factor(before: Hypothesis, gains: Array, joints: tuple[int, ...], is_common: bool) -> str:
+    """Return the joints with their factors as text."""
+
+    def text(factor: float) -> str:
+        size, kind = max(factor, 1 / factor), "small" if factor > 1 else "large"
+        return f"about {size:.3g} times too {kind}"
+
+    names = before.evidence.joints
+    if is_common:
+        listed = ", ".join(names[j] for j in joints)
+        return f"the torques of {listed} are {text(gains[joints[0]])}"
+    return "; ".join(f"the torque of {names[j]} is {text(gains[j])}" for j in joints)
+
+
+def _log_gains(before: Hypothesis) -> tuple[Array, Array]:
+    """Logarithms (n,) of the gains of all joints, and their standard deviations; infinite where the
+    links have no part in the torque, or one of the other sign."""
+    model, n = before.model, before.evidence.count
+    links, slope = np.zeros(model.rank), np.ones(n)
+    for _ in range(TURNS):
+        parts = [_without_terms(before, j, links) for j in range(n)]
+        slope = np.array([_ratio(part[-2, -1], part[-2, -2]) for part in parts])
+        gains = 1.0 / np.where(slope > 0, slope, 1.0)
+        fit = before.with_torque(np.diag(gains)).fit
+        links = model.basis.T @ ((fit.links - model.known) / model.scale)
+    deviation = np.full(n, np.inf)
+    used = np.flatnonzero(slope > 0)
+    if len(used):
+        level = max(EXACT, fit.cost / n)
+        deviation[used] = _deviations(before, links, slope, used) * np.sqrt(level)
+    return -np.log(np.where(slope > 0, slope, 1.0)), deviation
+
+
+def _without_terms(before: Hypothesis, j: int, links: Array) -> Array:
+    """Mean products (r + 2, r + 2) of joint j's columns [links, torque of these links, recorded
+    torque] after its friction, armature and offset are fitted to each."""
+    model, P = before.model, before.model.products[j]
+    r, m = model.rank, len(TERMS)
+    C = np.zeros((len(P), r + m + 2))
+    C[: r + m, : r + m] = np.eye(r + m)
+    C[:r, r + m], C[r + m, r + m] = links, 1.0
+    C[r + m + 1 :, r + m + 1] = before.mixing[:, j]
+    G = C.T @ P @ C
+    terms, others = slice(r, r + m), [*range(r), r + m, r + m + 1]
+    size = np.sqrt(np.maximum(np.diag(G)[terms], 1e-300))
+    own = G[terms, terms] / np.outer(size, size) + 1e-9 * np.eye(m)
+    left = G[others, terms] / size
+    return np.asarray(G[np.ix_(others, others)] - left @ np.linalg.solve(own, left.T))
+
+
+def _deviations(before: Hypothesis, links: Array, slope: Array, used: Array) -> Array:
+    """Standard deviations (k,) of the logarithms of the used joints' gains, at a mean squared
+    relative residual of 1; residuals of a joint count as one independent number."""
+    model = before.model
+    r, k = model.rank, len(used)
+    H = np.zeros((r + k, r + k))
+    H[:r, :r] = PENALTY**2 * np.eye(r)
+    for i, j in enumerate(used.tolist()):
+        G = _without_terms(before, j, links)
+        total = (
+            before.mixing[:, j] @ model.products[j][-len(before.mixing) :, -len(before.mixing) :]
+        )
+        weight = slope[j] ** 2 / max(float(total @ before.mixing[:, j]), 1e-300)
+        H[:r, :r] += weight * G[:r, :r]
+        H[:r, r + i] = H[r + i, :r] = weight * G[:r, r]
+        H[r + i, r + i] = weight * G[r, r]
+    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    inverse = np.linalg.inv(H / np.outer(size, size) + 1e-9 * np.eye(r + k))
+    return np.asarray(np.sqrt(np.diag(inverse)[r:]) / size[r:])
+
+
+def _ratio(product: float, size: float) -> float:
+    return float(product / size) if size > 0 else 0.0

@@ -1,0 +1,52 @@
+"""Gains of joints of their own: some joints, and currents; whatever the other torques are."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid_bench.diagnosis.contradictions import contradictions
+from sysid_bench.diagnosis.gain_candidates import joint_gains
+from sysid_bench.diagnosis.hypothesis import first_hypothesis
+from tests.diagnosis.test_diagnosis import evidence, log_of
+from tests.robots import named_robot
+
+
+def numbers(edit: str) -> list[float]:
+    return [float(x) for x in edit.split("gain = [")[1].split("]")[0].split(",")]
+
+
+@pytest.mark.parametrize("wrong", [(0, 1, 2), (2, 3), (4, 5, 3)])
+@pytest.mark.parametrize("factor", [100.0, 0.02])
+def test_one_factor_on_some_joints_is_named(
+    tmp_path: Path, wrong: tuple[int, ...], factor: float
+) -> None:
+    log, robot = log_of("panda"), named_robot("panda")
+    gains = np.where(np.isin(np.arange(len(robot.rows)), wrong), factor, 1.0)
+    made = evidence(tmp_path, replace(log, tau=log.tau * gains), robot)
+    first = contradictions(made)[0]
+    assert first.name == "gain"
+    assert first.joints == tuple(robot.rows[j] for j in sorted(wrong))
+    np.testing.assert_allclose(np.array(numbers(first.edit)) * gains, 1.0, rtol=0.6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_currents_are_no_torques(tmp_path: Path, seed: int) -> None:
+    log, robot = log_of("panda"), named_robot("panda")
+    constants = np.exp(np.random.default_rng(seed).uniform(np.log(5), np.log(50), len(robot.rows)))
+    made = evidence(tmp_path, replace(log, tau=log.tau / constants), robot)
+    first = contradictions(made)[0]
+    assert (first.name, first.joints) == ("current", robot.rows)
+    assert 'unit = "A"' in first.edit
+    ratio = np.array(numbers(first.edit)) / constants
+    assert np.median(np.abs(np.log(ratio))) < np.log(1.5)
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "xarm7", "scara", "z1", "kinova", "tx40"])
+def test_intact_torques_have_no_gains_of_their_own(tmp_path: Path, name: str) -> None:
+    """The model file's masses are off by a third in turn."""
+    log, robot = log_of(name), named_robot(name)
+    factors = np.where(np.arange(len(robot.phi)) % 2, 1.33, 0.75)
+    told = replace(robot, phi=robot.phi * factors[:, None])
+    assert not list(joint_gains(first_hypothesis(evidence(tmp_path, log, told))))
