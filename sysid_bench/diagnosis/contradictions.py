@@ -107,12 +107,15 @@ def _ranked(current: Hypothesis, searches: Sequence[Search]) -> list[Candidate]:
 
 def _sorted(current: Hypothesis, candidates: Sequence[Candidate]) -> list[Candidate]:
     ranked = sorted(candidates, key=lambda one: -one.evidence(current))
-    visible = min(NOTICED, LEAST * current.fit.cost)
-    return [
-        one
-        for one in ranked
-        if one.evidence(current) > 0 and current.fit.cost - one.hypothesis.fit.cost >= visible
-    ]
+    return [one for one in ranked if one.evidence(current) > 0 and _is_visible(one, current)]
+
+
+def _is_visible(candidate: Candidate, current: Hypothesis) -> bool:
+    """True where a candidate removes a share of the cost, or, of a joint among others that nothing
+    explains, a part of that joint's torque."""
+    removed, least = current.fit.cost - candidate.hypothesis.fit.cost, LEAST * current.fit.cost
+    of_some = len(candidate.joints) < current.evidence.count
+    return removed >= (min(NOTICED, least) if of_some else least)
 
 
 def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:

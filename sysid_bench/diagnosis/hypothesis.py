@@ -102,10 +102,15 @@ class Candidate:
     def alternative(self, before: Hypothesis) -> Alternative:
         """Row of the table of explanations."""
         return Alternative(
-            self.name, tuple(before.evidence.joints[j] for j in self.joints), self.estimate,
-            self.interval, round(self.share(before), 3), round(self.evidence(before), 1),
-            self.message, self.edit,
-        )  # fmt: skip
+            name=self.name,
+            joints=tuple(before.evidence.joints[j] for j in self.joints),
+            estimate=self.estimate,
+            interval=self.interval,
+            explains=round(self.share(before), 3),
+            evidence=round(self.evidence(before), 1),
+            message=self.message,
+            edit=self.edit,
+        )
 
 
 def joint_factors(n: int, joints: Sequence[int], factor: float) -> Array:

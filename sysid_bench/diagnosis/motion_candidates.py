@@ -118,16 +118,15 @@ def _small_offsets(before: Hypothesis, joints: Sequence[int]) -> Array:
     model = e.normal(before.motion, more=np.stack(slopes, axis=2))
     offsets = np.zeros(len(joints))
     for k in range(len(joints)):
-        best, offset = before.fit.score, 0.0
-        for step in TRIED:
-            for moved in (offset - step, offset + step):
+        best = before.fit.score
+        for size in TRIED:
+            for moved in (offsets[k] - size, offsets[k] + size):
                 # The fit of torques less slope times offset: no new regressor.
                 mixing = np.zeros((n + len(joints), n))
                 mixing[:n], mixing[n + k] = before.mixing, -moved
                 score = model.fit(mixing).score
                 if score < best:
-                    best, offset = score, moved
-        offsets[k] = offset
+                    best, offsets[k] = score, moved
     return offsets
 
 

@@ -384,7 +384,7 @@ def test_explanations_of_a_contradiction_stand_in_one_table(
     result = diagnose_log(write(tmp_path, log), name)
     (load,) = (one for one in result.findings if one["name"] == "load")
     rows = load["alternatives"]
-    assert [row["name"] for row in rows][0] == "load"
+    assert rows[0]["name"] == "load"
     assert "gain" in [row["name"] for row in rows]
     assert len({row["name"] for row in rows}) == len(rows)
     evidence_of = [row["evidence"] for row in rows]
