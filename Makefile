@@ -1,4 +1,4 @@
-# make smoke | test | long | processors | tutorials | faults | cluster | fuzz | gate | wild | reference | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | changed | nightly | environments | processors | tutorials | faults | cluster | fuzz | gate | wild | reference | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -16,7 +16,7 @@ TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 
 GATED := smoke terminal agnostic
 
-.PHONY: smoke test long processors tutorials faults cluster fuzz gate gate-models wild reference lint bench docs clean install
+.PHONY: changed nightly nightly-versions nightly-extras environments wheel smoke test long processors tutorials faults cluster fuzz gate gate-models wild reference lint bench docs clean install
 
 install: $(STAMP)
 
@@ -36,6 +36,34 @@ test: $(STAMP)
 # All commands of README.md, docs/ and CONTRIBUTING.md as printed, whole suites, and runs that are killed.
 long: $(STAMP)
 	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -m long $(TESTS)
+
+# The parts that the changes since BASE need (.ci/parts.py), one after the other.
+BASE ?=
+changed:
+	@parts=$$($(PYTHON) .ci/parts.py $(BASE)) && echo "changed files need: $$parts" && $(MAKE) $$parts
+
+# What .ci/run leaves out: the tests with the lowest and the newest versions, with the NumPy kernel, with each extra left
+# out, then the tutorials. Each in an environment of its own below NIGHTLY, one at a time: hours.
+NIGHTLY ?= /tmp/sysid-bench-nightly
+nightly:
+	@echo "nightly: tests with lowest and newest versions, NumPy kernel, each extra left out; tutorials"
+	$(MAKE) nightly-versions nightly-extras tutorials
+	SYSID_BENCH_KERNEL=numpy $(MAKE) test
+
+nightly-versions:
+	$(PYTHON) .ci/environments.py tests --folder $(NIGHTLY) lowest newest
+
+nightly-extras:
+	$(PYTHON) .ci/environments.py tests --folder $(NIGHTLY) without-pin without-robots without-rerun without-parquet \
+		without-logs without-peers
+
+# Resolves the environments of docs/where-it-runs.md, installs those that install here, and prints the table.
+environments:
+	$(PYTHON) .ci/environments.py try --folder $(NIGHTLY)
+
+# A wheel for this platform, in dist/.
+wheel: $(STAMP)
+	$(BIN)/python -m pip wheel --no-deps -w dist .
 
 # `make test` and the kept rows of reports with the kernels of other processors (OpenBLAS, NumPy, compiled): before a
 # release. PROCESSORS=haswell runs one of them.

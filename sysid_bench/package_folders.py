@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.extras import missing
 from sysid_bench.input_files import is_file, is_folder
 
 
@@ -116,7 +117,10 @@ def robot_data_folder() -> Path:
     try:
         listed = files("example-robot-data") or []
     except PackageNotFoundError as error:
-        raise UsageError("The package example-robot-data is absent: pip install it.") from error
+        here = ("*.urdf", "*.xml")
+        known = [n for n, file in robots().items() if any(any(file.parent.glob(p)) for p in here)]
+        otherwise = f"Robots that need none: {', '.join(known)}, and any model file."
+        raise missing("example-robot-data", "This robot", otherwise) from error
     urdf = next((f for f in listed if f.name.endswith(".urdf") and "robots" in f.parts), None)
     if urdf is None:
         raise UsageError("The package example-robot-data holds no URDF; install it again.")

@@ -322,6 +322,12 @@ def _executed(name: str, path: Path, state: tuple[int, int]) -> ModuleType:
     return module
 
 
+def module_files() -> list[tuple[str, str]]:
+    """Return (name, file) of the modules in this process."""
+    found = ((name, getattr(one, "__file__", None)) for name, one in list(sys.modules.items()))
+    return [(name, file) for name, file in found if isinstance(file, str)]
+
+
 # --- Settings -----------------------------------------------------------------------------------
 
 

@@ -22,7 +22,7 @@ STATUSES: Final = (
 )  # fmt: skip
 MACHINE_FIELDS: Final = frozenset((
     "seconds", "seconds_cpu", "seconds_experiment", "seconds_experiment_cpu",
-    "seconds_kernel_cpu", "load", "peak_memory", "machine",
+    "seconds_kernel_cpu", "load", "peak_memory", "machine", "isolation",
 ))  # fmt: skip
 """Fields of a row that differ from run to run on the same machine; all others are reproduced."""
 MOST_LOSSES: Final = 3

@@ -42,6 +42,22 @@ EXCEPTIONS = {
         "models/robot.py",
         "sysid_bench.models.pairing",
     ): "Pinocchio takes 0.2 s to load, and most commands need MuJoCo alone",
+    **dict.fromkeys(
+        (
+            ("harness/work/blind_worker.py", module)
+            for module in (
+                "resource",
+                "types",
+                "sysid_bench.canonical_json",
+                "sysid_bench.errors",
+                "sysid_bench.experiments.blind_data",
+                "sysid_bench.harness.work.confinement",
+                "sysid_bench.identification.identify",
+                "sysid_bench.plugin_names",
+            )
+        ),
+        "libraries are loaded in the confined process alone: they start threads and take memory",
+    ),
     ("harness/work/row_files.py", "pydantic_core"): "workers, which write alone, do without it",
     ("commands/record.py", "sysid_bench.experiments.cell_data"): "loads MuJoCo",
     ("commands/record.py", "sysid_bench.reporting"): "its cell_recording loads rerun",

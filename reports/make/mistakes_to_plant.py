@@ -264,7 +264,8 @@ MISTAKES: Final = (
     Mistake("torque of motors, 1:100", ("gain", "current"), _times(tau=0.01, every=-1), False),
     Mistake("torque of a motor, 1:50, one", ("gain",), _times(tau=0.02)),
     Mistake("torque times the gear twice", ("gain", "units"), _times(tau=100, every=3), False),
-    Mistake("torque = current", ("current",), _currents, False),
+    # Drives of nearly equal torque constants: one gain of all joints gives the torques back.
+    Mistake("torque = current", ("current", "gain"), _currents, False),
     Mistake("torque columns exchanged", ("columns",), _exchange("tau")),
     Mistake("torque columns shifted", ("columns",),
             lambda s, j, rng: replace(s, tau=np.roll(s.tau, 1, axis=1)), False),

@@ -86,8 +86,9 @@ class CrosscheckResult(Result):
 
     `gap`: max |Y - Y_pin| / max |Y_pin|, same parameter order and frames. `closure`: max |Y theta +
     armature a - tau_MuJoCo| / max |tau_MuJoCo|. `native_gap`: gap against Pinocchio's own parser,
-    None with `native_reason` where it does not apply. `near_degenerate`: directions that the rank
-    rule drops though they are no rounding; `rank_gap`: last kept over first dropped singular value.
+    None with `native_reason` where it does not apply. `engine`: the second one, "pinocchio" or,
+    where that is not installed, "mujoco". `near_degenerate`: directions that the rank rule drops
+    though they are no rounding; `rank_gap`: last kept over first dropped singular value.
     """
 
     robot: str
@@ -102,6 +103,7 @@ class CrosscheckResult(Result):
     closure: float | None = None
     native_gap: float | None = None
     native_reason: str | None = None
+    engine: str | None = None
     base_parameters: int | None = None
     near_degenerate: int | None = None
     rank_gap: float | None = None
@@ -212,6 +214,7 @@ def _measured(manifest: "Manifest", request: Crosscheck) -> CrosscheckResult:
         closure=verdict.closure,
         native_gap=verdict.native_gap,
         native_reason=verdict.native_reason,
+        engine=verdict.engine,
         base_parameters=counted.rank,
         near_degenerate=counted.near_degenerate,
         rank_gap=counted.gap,

@@ -4,15 +4,17 @@ import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, Final
 
 from sysid_bench import package_folders
 from sysid_bench.commands.request import FAILED, OK, Request, python_function
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import SysidBenchError
+from sysid_bench.extras import EXTRAS
 
 PACKAGES: Final = (
-    "numpy", "scipy", "pandas", "mujoco", "pinocchio", "sympy", "rerun", "clarabel",
+    "numpy", "scipy", "pandas", "mujoco", "clarabel", "matplotlib",
 )  # fmt: skip
 
 
@@ -31,9 +33,11 @@ class Doctor(Request["DoctorResult"]):
         stepping = f"Python: {steps}" if isinstance(steps, str) else "compiled"
         checks = [
             _packages(),
-            _found("example-robot-data", package_folders.robot_data_folder),
+            _second_engine(),
+            _found("example-robot-data", package_folders.robot_data_folder, needed=False),
             _robots(),
             _found("rerun viewer", rerun_tool, needed=False),
+            _extras(),
             _Check("pdflatex", latex is not None, latex or no_latex, needed=False),
             _Check("regressor kernel", kernel.library is not None, str(kernel), needed=False),
             _Check("simulation steps", not isinstance(steps, str), stepping, needed=False),
@@ -92,6 +96,27 @@ def _packages() -> _Check:
     return _Check(
         "packages", not absent, f"absent: {', '.join(absent)}" if absent else "all import"
     )
+
+
+def _second_engine() -> _Check:
+    from sysid_bench.evaluation.second_engine import ENGINES, second_engine
+
+    engine = second_engine()
+    return _Check("second engine", engine == "pinocchio", ENGINES[engine], needed=False)
+
+
+def _extras() -> _Check:
+    names = {package.replace("-", "_"): extra for package, extra in EXTRAS.items()}
+    absent = sorted({extra for module, extra in names.items() if not _is_there(module)})
+    advice = f"absent: {', '.join(absent)} (pip install 'sysid-bench[{','.join(absent)}]')"
+    return _Check("extras", not absent, advice if absent else "all", needed=False)
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:  # of a module in a package that is absent
+        return False
 
 
 def _robots() -> _Check:

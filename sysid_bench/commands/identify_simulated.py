@@ -34,6 +34,7 @@ from sysid_bench.commands.write_model import (
 )
 from sysid_bench.errors import ModelError, WriteError
 from sysid_bench.evaluation.feasible_body import feasible_body
+from sysid_bench.evaluation.second_engine import WITHOUT
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.simulated.composed_plant import ENCODERS, has_exact_positions
@@ -182,6 +183,7 @@ def _result(
     reported = (*OF_CELLS, "left_out", "gap", "plausible")
     fields = cell_fields(prepared, method, estimate, reported, {"gap": loaded.check.gap})
     own = [*robot.repairs, *warnings_of(estimate, problem), *filter(None, [source.warning])]
+    own += [] if loaded.check.engine == "pinocchio" else [WITHOUT]
     sensor = None
     if source.task.definition.identifies_sub_tree:
         test = source.contact_test

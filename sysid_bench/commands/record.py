@@ -20,6 +20,7 @@ from sysid_bench.commands.request import (
     python_function,
 )
 from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.extras import extra_module
 from sysid_bench.input_files import read_text
 from sysid_bench.units import quantity
 
@@ -235,6 +236,8 @@ def _write(run: "RunFolder", cell: str, row: Mapping[str, Any], robots_dir: Path
 def write_cell(argument: Mapping[str, Any], channel: "JobChannel | None" = None) -> None:
     """Execute a cell and write its recording, here or in a worker process."""
     from sysid_bench.experiments.cell_data import cell_data
+
+    extra_module("rerun", "A recording", "Rows, tables and report need none.")
     from sysid_bench.reporting import recording
 
     data = cell_data(argument["job"], argument["row"])

@@ -119,7 +119,7 @@ def _param(entry: Field[Any], annotation: Any, spec: Option) -> click.Parameter:
     return made
 
 
-def _click_type(annotation: Any, spec: Option) -> click.ParamType[Any]:
+def _click_type(annotation: Any, spec: Option) -> "click.ParamType[Any]":
     kinds = {annotation, *get_args(annotation)} - {NoneType}
     if spec.choices:
         return click.Choice(spec.choices)
@@ -133,7 +133,7 @@ def _click_type(annotation: Any, spec: Option) -> click.ParamType[Any]:
     return click.STRING
 
 
-def _number_type(whole: bool, least: float | None) -> click.ParamType[Any]:
+def _number_type(whole: bool, least: float | None) -> "click.ParamType[Any]":
     if least is None:
         return click.INT if whole else click.FLOAT
     return click.IntRange(min=int(least)) if whole else click.FloatRange(min=least)

@@ -1,4 +1,5 @@
-"""Cross-check of a robot: our regressor against Pinocchio's, its torques against MuJoCo's.
+"""Cross-check of a robot: our regressor against the second engine's, Pinocchio where it is there,
+its torques against MuJoCo's.
 
 Of coupled joints also the reduced regressor, the constrained dynamics, the Jacobian G and closure.
 """
@@ -10,14 +11,18 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
+from sysid_bench.evaluation.second_engine import (
+    native_regressor,
+    reduced_reference,
+    reference_regressor,
+    second_engine,
+)
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
-from sysid_bench.regressors.pinocchio import pinocchio_regressor, reduced_regressor
-from sysid_bench.regressors.pinocchio_urdf import urdf_regressor
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.inverse import independent_torque, inverse_torque
+from sysid_bench.simulation.inverse import independent_rows, inverse_torque
 from sysid_bench.types import Array, Trajectory
 
 REDUCED_GAP: Final = 1e-10
@@ -91,8 +96,8 @@ def check_coupling(robot: RobotModel, samples: int) -> CouplingCheck:
     assert coupling is not None
     motion = random_states(robot, samples, np.random.default_rng(_COUPLING_SEED))
     Y = torque_regression(robot, robot.inertial_columns).dense(motion).Y
-    reference = reduced_regressor(robot, motion, pinocchio_regressor(robot, motion)).Y
-    tau, violation = independent_torque(robot, motion)
+    reference = reduced_reference(robot, motion)
+    tau, violation = independent_rows(robot, motion, inverse_torque(robot, motion))
     # Rotors of dependent joints turn as well, and act on the drives through G.
     armature = coupling.reduced(motion.q, robot.joint_terms.armature * motion.a)
     return CouplingCheck(
@@ -163,6 +168,7 @@ class Crosscheck:
     gap_map: Array
     columns: tuple[str, ...]
     coupling: CouplingCheck | None = None
+    engine: str = "pinocchio"  # the second one, Y_pin above
 
     def ok(self, tolerance: float = GAP) -> bool:
         """Return True if all errors are within their tolerances; NaN is not."""
@@ -211,14 +217,14 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
         return replace(tree, coupling=check_coupling(robot, samples))
     motion = random_states(robot, samples, np.random.default_rng(SEED))
     Y = regression(robot, robot.inertial_columns).dense(motion).Y
-    reference = pinocchio_regressor(robot, motion).Y
+    reference = reference_regressor(robot, motion).Y
     tau = inverse_torque(robot, motion)
     # MuJoCo adds the rotor inertia to the diagonal of M; it has no column among the inertial ones.
     predicted = Y @ robot.phi.ravel() + robot.joint_terms.armature * motion.a
     native_gap, reason = None, ""
     if native:
         try:
-            parsed = urdf_regressor(robot, motion).Y
+            parsed = native_regressor(robot, motion)
             native_gap = relative_error(Y - parsed, parsed)
         except UnsupportedError as error:
             reason = str(error)
@@ -229,4 +235,5 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
         native_reason=reason,
         gap_map=np.abs(Y - reference).max(axis=0),
         columns=robot.inertial_columns,
+        engine=second_engine(),
     )

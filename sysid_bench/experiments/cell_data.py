@@ -10,6 +10,7 @@ import numpy as np
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UnsupportedError, reason_of, status_of
 from sysid_bench.evaluation.score import base_parameters
+from sysid_bench.evaluation.second_engine import wrench_reference
 from sysid_bench.experiments.execute import estimator_of, load_experiment, prepare
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.job_channel import JobChannel
@@ -22,7 +23,6 @@ from sysid_bench.identification.identify import fit_fields, identify
 from sysid_bench.identification.linear.least_squares import stacked_factor
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.shape import body_frames, body_shape
-from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
 from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import (
     Array,
@@ -93,7 +93,7 @@ def _predicted(prepared: ExperimentData[SimulatedSource], estimate: Estimate) ->
 def _gap(
     loaded: LoadedRobot, prepared: ExperimentData[SimulatedSource]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Differences of our regressor from Pinocchio's on the measured rows, and column names."""
+    """Differences of our regressor from the second engine's on the measured rows, and columns."""
     robot, cuts, check = prepared.robot, prepared.source.task.cuts, loaded.check
     if not cuts:
         # The cross-check of the robot has all rows; with a sensor there are other ones.
@@ -102,7 +102,7 @@ def _gap(
     motion = random_states(robot, 5, np.random.default_rng(0))
     base = robot.body_names[cuts[0].body]
     ours = subtree_regressor(robot, cuts[0], motion).base_wrench(base)
-    theirs, _ = pinocchio_wrench_regressor(robot, cuts[0], motion, base)
+    theirs = wrench_reference(robot, cuts[0], motion, base)
     return np.abs(ours - theirs.Y).max(axis=0), theirs.columns
 
 

@@ -1,28 +1,38 @@
 """Execution of one experiment: a row for each of its estimators, whatever happens."""
 
+import json
 import math
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import LONGEST_TEXT, SysidBenchError, UsageError, reason_of, status_of
 from sysid_bench.evaluation.intervals import at_level
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.job_channel import JobChannel, JobEnd, MemoryUse, usage_fields
+from sysid_bench.experiments.job_channel import (
+    JobChannel,
+    JobEnd,
+    MemoryUse,
+    MethodEnd,
+    usage_fields,
+)
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.paper_data import write_paper_data
 from sysid_bench.experiments.recorded.prepare import prepare_recorded
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.experiments.third_party import loaded_sources, read_package_files
+from sysid_bench.experiments.third_party import (
+    loaded_sources,
+    read_package_files,
+)
 from sysid_bench.identification.identify import fit_fields, identify
 from sysid_bench.metrics import REASONS, metric_fields
-from sysid_bench.plugin_names import build
+from sysid_bench.plugin_names import build, module_files
 from sysid_bench.regressors.kernel_c import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.version_fields import version_fields
@@ -41,8 +51,9 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     """Run the experiment of `argument` (`job_of` in harness/run.py); emit a row for each open cell.
 
     Third-party code (`argument["third_party"]`) runs in processes of its own: an experiment whose
-    data depend on it as a whole, otherwise the cells of third-party estimators and metrics, one by
-    one. Built-in methods see the same process whoever else is in the suite.
+    data depend on it as a whole, otherwise cells with metrics of others, one by one. An estimator
+    of others runs in a process that never held the truth, and this one scores its answer. Built-in
+    methods see the same process whoever else is in the suite.
     """
     with at_level(argument["experiment"].get("confidence")):
         if not argument["third_party"]["data"]:
@@ -82,42 +93,63 @@ def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
         _emit_all(headers, channel, shared | outcome)
         return
     code = argument["third_party"]
-    if code["cells"]:
+    if any(code.values()):
         read_package_files()  # once, before the forks and the time limits of their cells
     for entry in estimators:
-        is_isolated, header = entry["cell"] in code["cells"], headers[entry["cell"]] | shared
-        cell = _PreparedCell(
-            argument, entry, prepared, header | seconds, code["data"] or is_isolated
-        )
+        header = headers[entry["cell"]] | shared | seconds
+        cell = _PreparedCell(argument, entry, prepared, header)
         channel.start_cell(entry["cell"])
-        emit = cell.emit_isolated if is_isolated else cell.emit
+        # Metrics of others are given the truth: they may spoil their own process alone.
+        emit = cell.emit_isolated if code["metrics"] else cell.emit
         emit(channel)
 
 
 @dataclass(frozen=True, eq=False)
 class _PreparedCell:
-    """One estimator on the data of its experiment. `names_sources`: the row lists the third-party
-    files and distributions behind it."""
+    """One estimator on the data of its experiment."""
 
     argument: Mapping[str, Any]
     entry: Mapping[str, Any]
     prepared: ExperimentData[Any]
     header: Row
-    names_sources: bool
 
     def emit(self, channel: JobChannel) -> None:
-        """Compute the row in this process; an exception of a plug-in is a failed row."""
-        peak = MemoryUse()
+        """Compute the row in this process, with a method of others in one that never held the
+        truth; an exception of a plug-in is a failed row."""
+        code = self.argument["third_party"]
+        loads_others = code["data"] or code["metrics"]
+        row: Row = {"sources": loaded_sources(module_files())} if loads_others else {}
+        if self.entry["cell"] not in code["methods"]:
+            peak = MemoryUse()
+            found = self._row(partial(estimator_of, self.entry)) | usage_fields(peak.value)
+            channel.write(self.header | found | row)
+            return
+        settings = estimator_settings(self.entry)
+        simulated = self.argument["experiment"].get("log") is None
         try:
-            row = self._explained(self._scored())
+            with channel.blind_method(settings, simulated=simulated) as method:
+                found = self._row(lambda: method) | usage_fields(method.peak_memory)
+            found |= {"isolation": method.isolation}
+            row["sources"] = dict(sorted({**row.get("sources", {}), **method.sources}.items()))
+        except MethodEnd as ended:  # it could not be built
+            found = self._ended(ended) | usage_fields(None) | {"isolation": None}
+        channel.write(self.header | found | {"sources": {}} | row)
+
+    def _row(self, make: Callable[[], Any]) -> Row:
+        """The row of an estimator; an exception is a failed row."""
+        try:
+            return self._explained(self._scored(make()))
+        except MethodEnd as ended:
+            return self._ended(ended)
         except BaseException as error:  # Ctrl-C of a user reaches the supervisor alone
             row = {"status": status_of(error), "reason": reason_of(error)}
             if not isinstance(error, SysidBenchError):
                 lines = [line[:LONGEST_TEXT] for line in traceback.format_exception(error)]
                 row["traceback"] = "".join(lines)
-            row = self._explained(row | self.prepared.fields)
-        sources = {"sources": loaded_sources()} if self.names_sources else {}
-        channel.write(self.header | row | sources | usage_fields(peak))
+            return self._explained(row | self.prepared.fields)
+
+    def _ended(self, ended: MethodEnd) -> Row:
+        return self._explained(ended.end.fields | self.prepared.fields)
 
     def emit_isolated(self, channel: JobChannel) -> None:
         """Compute the row in a process of its own; its end without a row is one here."""
@@ -135,10 +167,10 @@ class _PreparedCell:
             row = row | {"reason": f"{row['reason']} {warning}".strip()}
         return dict(plain(row))
 
-    def _scored(self) -> Row:
+    def _scored(self, method: Any) -> Row:
         """Status, scores and parameters of the estimate; what `[[paper]]` entries need is stored
         beside it."""
-        prepared, method = self.prepared, estimator_of(self.entry)
+        prepared = self.prepared
         estimate = identify(method, prepared.problem, prepared.experiment)
         stats = dict(estimate.stats)
         row: Row = {
@@ -156,7 +188,7 @@ class _PreparedCell:
             reason = f"the estimate gives no finite {' and '.join(bad)}; {row['reason']}"
             row |= {"status": "failed", "reason": reason.rstrip("; ")}
         write_paper_data(self.argument, self.entry["cell"], estimate, prepared)
-        row |= scores | prepared.fields | {"stats": stats}
+        row |= scores | prepared.fields | {"stats": _limited(stats)}
         score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})
         cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
         # Metrics of plug-ins ({name, spec} each); empty without an estimate.
@@ -171,6 +203,20 @@ class _PreparedCell:
                 f"The metric name {taken[0]!r} is a field of rows already; choose another."
             )
         return row | metrics
+
+
+MOST_STATS: Final = 256
+"""Numbers of a method that become columns of the results."""
+
+
+def _limited(stats: Mapping[str, Any]) -> Row:
+    """At most MOST_STATS entries of a method's `stats`; the rest as one JSON text, `more`: each key
+    is a column, and 300,000 of them took minutes to write."""
+    names = list(stats)
+    if len(names) <= MOST_STATS:
+        return dict(stats)
+    kept = {name: stats[name] for name in names[: MOST_STATS - 1]}
+    return kept | {"more": json.dumps(plain({x: stats[x] for x in names[MOST_STATS - 1 :]}))}
 
 
 def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, LoadedRobot]:
@@ -193,6 +239,8 @@ def _robot_fields(loaded: LoadedRobot, rule: Mapping[str, Any]) -> Row:
         "nv": loaded.robot.nv,
         "free_base": loaded.robot.floating,
     }
+    if check.engine != "pinocchio":
+        fields["second_engine"] = check.engine
     return dict(plain(fields))
 
 
@@ -210,5 +258,9 @@ def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
 
 def estimator_of(estimator: Mapping[str, Any]) -> Any:
     """The estimator plug-in of an entry of `argument["estimators"]`."""
-    settings = {key: value for key, value in estimator.items() if key not in ("cell", "label")}
-    return build("estimator", settings)
+    return build("estimator", estimator_settings(estimator))
+
+
+def estimator_settings(estimator: Mapping[str, Any]) -> dict[str, Any]:
+    """{use, settings} of an entry of `argument["estimators"]`."""
+    return {key: value for key, value in estimator.items() if key not in ("cell", "label")}

@@ -3,6 +3,7 @@
 import contextlib
 import os
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -33,6 +34,25 @@ class JobEnd(Exception):
         self.death = death
 
 
+class MethodEnd(Exception):
+    """A method whose process ended, or reported an error, before it had an estimate."""
+
+    def __init__(self, end: ProcessEnd) -> None:
+        super().__init__(end.reason)
+        self.end = end
+
+
+class Method(Protocol):
+    """An estimator in a process of its own; see `JobChannel.blind_method`."""
+
+    isolation: str
+    sources: dict[str, str]
+
+    @property
+    def peak_memory(self) -> float | None:
+        """Largest resident memory (MB) of its process."""
+
+
 class JobChannel(Protocol):
     """Channel from a job to its supervisor."""
 
@@ -49,6 +69,12 @@ class JobChannel(Protocol):
     def progress(self, value: Any) -> None:
         """Pass a JSON value on to the caller of this job, while it goes on."""
 
+    def blind_method(
+        self, estimator: Mapping[str, Any], *, simulated: bool
+    ) -> AbstractContextManager[Method]:
+        """A third-party estimator {use, settings} in a process of its own, started fresh, that
+        never held the truth and ends with the context. Its calls raise MethodEnd."""
+
     def run_process(
         self, function: Callable[["JobChannel"], Any], heads: Mapping[str, Row]
     ) -> ProcessEnd | None:
@@ -61,7 +87,7 @@ class JobChannel(Protocol):
         """
 
 
-_STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+_CLEAR = Path("/proc/self/clear_refs")
 _RESET_PEAK = "5"
 
 
@@ -77,14 +103,18 @@ class MemoryUse:
     @property
     def value(self) -> float | None:
         """Peak in MB (10^6 bytes), None where the system does not report it."""
-        if self._known:
-            with contextlib.suppress(OSError, ValueError, IndexError):
-                peak = _STATUS.read_text().partition("\nVmHWM:")[2].split()[0]
-                return int(peak) * 1024 / 1e6
-        return None
+        return peak_memory("self") if self._known else None
 
 
-def usage_fields(peak: MemoryUse | None) -> Row:
+def peak_memory(process: int | str) -> float | None:
+    """Largest resident memory (MB) of a process until now; None where it is not known."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        status = Path(f"/proc/{process}/status").read_text()
+        return int(status.partition("\nVmHWM:")[2].split()[0]) * 1024 / 1e6
+    return None
+
+
+def usage_fields(peak: float | None) -> Row:
     """`load` (mean number of busy processes over a minute) and `peak_memory` (MB) of a cell."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {"load": load, "peak_memory": None if peak is None else peak.value}
+    return {"load": load, "peak_memory": peak}

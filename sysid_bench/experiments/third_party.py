@@ -23,24 +23,28 @@ from sysid_bench.signals.log_reader import package_reader
 from sysid_bench.version_fields import PACKAGE_FOLDER
 from sysid_bench.words import MOTOR, TERMS
 
-NO_PARTS: Final[Mapping[str, Any]] = {"data": False, "cells": []}
+NO_PARTS: Final[Mapping[str, Any]] = {"data": False, "metrics": False, "methods": []}
 """Parts of an experiment without code of others; see `third_party_parts`."""
 
 
 def third_party_parts(argument: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of an `argument` of `execute` that run code of others: {data, cells}.
+    """Return the parts of an `argument` of `execute` that run code of others: {data, metrics,
+    methods}.
 
     `data`: True where their plug-ins make the data (motions, effects, pipelines, tasks, log
-    readers, terms); `cells`: ids of those with an estimator or a metric of others.
+    readers, terms), `metrics` where they compute some; `methods`: ids of cells with an estimator of
+    others.
     """
-    has_metrics = bool(argument.get("metrics"))
     foreign = (
         entry["cell"]
         for entry in argument["estimators"]
-        if has_metrics or not is_of_package("estimator", entry["use"])
+        if not is_of_package("estimator", entry["use"])
     )
-    makers = _data_plugins(argument)
-    return {"data": any(not is_of_package(*one) for one in makers), "cells": list(foreign)}
+    return {
+        "data": any(not is_of_package(*one) for one in _data_plugins(argument)),
+        "metrics": bool(argument.get("metrics")),
+        "methods": list(foreign),
+    }
 
 
 def _data_plugins(argument: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -116,19 +120,16 @@ def reader_candidates(file: Path) -> Iterator[tuple[str, str]]:
     yield from ((LOG_READER, name) for name in names)
 
 
-def loaded_sources() -> dict[str, str]:
+def loaded_sources(modules: Iterable[tuple[str, str]]) -> dict[str, str]:
     """Return {path: SHA-256} of the third-party source files and {distribution: version} of the
-    third-party packages in this process.
+    third-party packages among modules (name, file).
 
     The standard library, this package and the distributions that it requires are left out: they
     are in the fingerprint of every row. Third-party code is loaded in isolated processes alone, so
     that all that is found belongs to the present cell.
     """
     sources = dict[str, str]()
-    for name, module in list(sys.modules.items()):
-        file = getattr(module, "__file__", None)
-        if not isinstance(file, str):
-            continue
+    for name, file in modules:
         path = Path(file).resolve()
         if any(part in ("site-packages", "dist-packages") for part in path.parts):
             top = name.partition(".")[0]

@@ -66,7 +66,10 @@ _JOINT_COLUMNS: Final = {
 }
 
 COVERAGE_FILE: Final = "consolidated.json"
-UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError, NotImplementedError)
+UNREADABLE: Final = (
+    *(OSError, ValueError, LookupError, TypeError, NotImplementedError),
+    ImportError,  # without the extra `parquet` the row files decide
+)
 """Errors of reading a Parquet file that is absent or damaged."""
 HEAD: Final = ("id", "status", "reason", "crosscheck", "fingerprint", "losses", "sources")
 """Fields of a row on which the next run, its result and the status of a run depend."""
@@ -191,14 +194,27 @@ class Frames:
 def data_frames(rows: Iterable[Row]) -> Frames:
     """Return the frames of rows; nested tables of a cell become columns with dotted names."""
     parts = list(map(_parts_of, rows))
-    schemas = _schemas({_kind_of(part): None for part in parts})
-    tables = {frame: _table([part[frame] for part in parts], schemas[frame]) for frame in FRAMES}
+    types = _column_types({_kind_of(part): None for part in parts})
+    tables = {frame: _values([part[frame] for part in parts], types[frame]) for frame in FRAMES}
 
     def read(name: str, fields: Collection[str] | None) -> "pd.DataFrame":
-        table = tables[name]
-        return _pandas_frame(table.select(_columns_of_fields(fields, table.column_names)))
+        table, kinds = tables[name], types[name]
+        wanted = _columns_of_fields(fields, table)
+        # Without Arrow, and with the same types as from a Parquet file (`_pandas_frame`).
+        size = len(next(iter(table.values()), ()))
+        return _frame({key: _array(table[key], kinds[key]) for key in wanted}, size)
 
     return Frames(read)
+
+
+def _array(values: list[Any], kind: str) -> np.ndarray:
+    """Values of a column as `_pandas_frame` gives them: NaN is absent, as None is."""
+    if kind in ("double", "int64"):
+        floats = [np.nan if v is None else v for v in values]
+        return np.array(floats, dtype=float if kind == "double" else np.int64)
+    made = np.empty(len(values), dtype=object)
+    made[:] = [None if isinstance(v, float) and v != v else v for v in values]
+    return made
 
 
 # --- From rows to Arrow tables ------------------------------------------------------------------
@@ -253,15 +269,21 @@ def _schemas(kinds: Collection[_Kind]) -> dict[str, "pyarrow.Schema"]:
     """Schema of each frame, with the columns in the order in which rows name them."""
     import pyarrow
 
-    number = secrets.token_hex(8)  # files with equal footers are of one consolidation
-    schemas, absent = {}, frozenset({NoneType})
+    number = {"sysid_bench": secrets.token_hex(8)}  # files with equal footers are of one writing
+    columns = _column_types(kinds)
+    return {frame: pyarrow.schema([*columns[frame].items()], metadata=number) for frame in FRAMES}
+
+
+def _column_types(kinds: Collection[_Kind]) -> dict[str, dict[str, str]]:
+    """Arrow's name of the type of each column of each frame, in the order in which rows name
+    them."""
+    columns, absent = {}, frozenset({NoneType})
     for place, frame in enumerate(FRAMES):
         parts = [dict(kind[place]) for kind in kinds if kind[place]]
         names = dict.fromkeys((*_FIRST[frame], *chain.from_iterable(parts)))
         types = {name: {t for part in parts for t in part.get(name, absent)} for name in names}
-        columns = [(name, _arrow_type(found)) for name, found in types.items()]
-        schemas[frame] = pyarrow.schema(columns, metadata={"sysid_bench": number})
-    return schemas
+        columns[frame] = {name: _arrow_type(found) for name, found in types.items()}
+    return columns
 
 
 def _arrow_type(types: Collection[type]) -> str:
@@ -276,24 +298,31 @@ def _arrow_type(types: Collection[type]) -> str:
 
 
 def _table(parts: Iterable[_Columns], schema: "pyarrow.Schema") -> "pyarrow.Table":
-    """Lines of the parts of a frame; what a part lacks is absent."""
+    """Lines of the parts of a frame as an Arrow table."""
     import pyarrow
 
-    columns: _Columns = {name: [] for name in schema.names}
+    columns = _values(parts, {field.name: str(field.type) for field in schema})
+    # from_pandas: NaN is absent, as None is.
+    arrays = [pyarrow.array(v, schema.field(n).type, from_pandas=True) for n, v in columns.items()]
+    return pyarrow.Table.from_arrays(arrays, schema=schema)
+
+
+def _values(parts: Iterable[_Columns], types: Mapping[str, str]) -> _Columns:
+    """Values of the columns of a frame; what a part lacks is absent."""
+    columns: _Columns = {name: [] for name in types}
     for part in parts:
         size = max(map(len, part.values()), default=0)
         for name, values in columns.items():
             values += part.get(name) or [None] * size
-    arrays = []
     for name, values in columns.items():
-        kind, types = schema.field(name).type, set(map(type, values))
-        if kind == "double" and int in types:
-            values = [None if v is None else float(v) for v in values]
-        elif kind == "string" and not types <= {str, NoneType}:
-            values = [v if v is None or isinstance(v, str) else json.dumps(v) for v in values]
-        # from_pandas: NaN is absent, as None is.
-        arrays.append(pyarrow.array(values, kind, from_pandas=True))
-    return pyarrow.Table.from_arrays(arrays, schema=schema)
+        kind, found = types[name], set(map(type, values))
+        if kind == "double" and int in found:
+            columns[name] = [None if v is None else float(v) for v in values]
+        elif kind == "string" and not found <= {str, NoneType}:
+            columns[name] = [
+                v if v is None or isinstance(v, str) else json.dumps(v) for v in values
+            ]
+    return columns
 
 
 # --- From Arrow tables to data frames and rows --------------------------------------------------
@@ -308,8 +337,6 @@ def _columns_of_fields(fields: Collection[str] | None, known: Iterable[str]) -> 
 
 def _pandas_frame(table: "pyarrow.Table") -> "pd.DataFrame":
     """Columns of numbers, else of objects with None for what is absent."""
-    import pandas as pd
-
     made = {}
     for name in table.column_names:
         column = table.column(name)
@@ -324,9 +351,16 @@ def _pandas_frame(table: "pyarrow.Table") -> "pd.DataFrame":
             codes = [chunk.indices.fill_null(len(texts) - 1).to_numpy() for chunk in chunks]
             words = np.array(texts, dtype=object)
             values = words[np.concatenate(codes)] if codes else np.array([], dtype=object)
-        # With its type, since pandas 3 makes texts a type of its own, whose absent value is NaN.
-        made[name] = pd.Series(values, dtype=values.dtype)
-    return pd.DataFrame(made, index=pd.RangeIndex(table.num_rows))
+        made[name] = values
+    return _frame(made, table.num_rows)
+
+
+def _frame(columns: Mapping[str, np.ndarray], size: int) -> "pd.DataFrame":
+    import pandas as pd
+
+    # With its type, since pandas 3 makes texts a type of its own, whose absent value is NaN.
+    made = {name: pd.Series(values, dtype=values.dtype) for name, values in columns.items()}
+    return pd.DataFrame(made, index=pd.RangeIndex(size))
 
 
 class FrameFiles:

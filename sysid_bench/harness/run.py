@@ -32,6 +32,7 @@ from sysid_bench.harness.suite.load_suite import (
 )
 from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.work.row_files import ROWS_DIGEST, rows_digest
 from sysid_bench.harness.work.supervise import Ending, OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.harness.worker_names import worker_names
@@ -342,7 +343,12 @@ def _compute(work: Work, folder: RunFolder, executor: Executor, on_event: OnEven
             found["machines"] = {**found.get("machines", {}), data["id"]: dict(data)}
             folder.write_environment(found)
 
-        return executor.work(work, hear) if work.jobs else RunEnd("finished")
+        ended = executor.work(work, hear) if work.jobs else RunEnd("finished")
+    if work.jobs:
+        # Published with a submission, it holds the rows to what they were.
+        found[ROWS_DIGEST] = rows_digest(folder.path / "cells")
+        folder.write_environment(found)
+    return ended
 
 
 def _result(

@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -300,6 +301,8 @@ class RunFolder:
 
         Raises UsageError where the file system does not take them.
         """
+        if find_spec("pyarrow") is None:  # the extra `parquet`: tables are made of the rows then
+            return
         try:
             build_frames(self.path, self._plan_heads)
         except OSError as error:
@@ -312,7 +315,7 @@ class RunFolder:
     def _frames_of_rows(self) -> Frames:
         """Frames without the Parquet files; many rows are consolidated, here where that is allowed,
         else in a temporary folder."""
-        if self.row_bytes <= FEW_BYTES:
+        if self.row_bytes <= FEW_BYTES or find_spec("pyarrow") is None:
             stored, heads = self.rows().rows, self.planned_fields
             return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
         # Not allowed while another runner has the lock, nor in a folder that is not ours to write.

@@ -24,9 +24,11 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
     EstimationError and UnsupportedError become the status "failed" or "unsupported" with their
     reason; so does an estimate with a wrong shape or a value that is not finite. An iterate that
     has not converged is an estimate. Sets `stats["seconds"]` and `stats["seconds_cpu"]`, and
-    `simulations` where the method has not.
+    `simulations` where the method has not. A method in a process of its own has `used_seconds`,
+    those that its calls have taken there: wall clock and CPU.
     """
-    start, cpu_start = time.perf_counter(), time.process_time()
+    used = getattr(estimator, "used_seconds", _used_seconds)
+    start, cpu_start = used()
     meter = BudgetUse(Budget())  # no limit: it counts alone
     if experiment is not None:
         experiment = replace(experiment, simulate=meter.with_count(experiment.simulate))
@@ -38,12 +40,16 @@ def identify(estimator: Any, problem: Problem, experiment: Experiment | None = N
         estimate = Estimate(status="unsupported", reason=str(error))
     except (EstimationError, SimulationError, UsageError, np.linalg.LinAlgError) as error:
         estimate = Estimate(status="failed", reason=str(error))
-    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu_start
+    end, cpu_end = used()
     simulations = estimate.simulations
     if simulations is None:
         simulations = meter.simulations
-    stats = {**estimate.stats, "seconds": seconds, "seconds_cpu": cpu}
+    stats = {**estimate.stats, "seconds": end - start, "seconds_cpu": cpu_end - cpu_start}
     return replace(estimate, stats=stats, simulations=simulations)
+
+
+def _used_seconds() -> tuple[float, float]:
+    return time.perf_counter(), time.process_time()
 
 
 def fit_fields(estimate: Estimate) -> dict[str, Any]:

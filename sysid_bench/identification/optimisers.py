@@ -7,6 +7,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import wraps
 from importlib import import_module
 from typing import Any, Final, Protocol
 
@@ -84,6 +85,7 @@ class BudgetUse:
     def with_count(self, simulate: Callable[..., Any]) -> Callable[..., Any]:
         """Return a simulation that counts its calls."""
 
+        @wraps(simulate)
         def counted(*arguments: Any) -> Any:
             self.count()
             return simulate(*arguments)

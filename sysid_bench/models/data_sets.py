@@ -207,7 +207,10 @@ class DataSetFiles:
         """
         listed = {file.path: file for file in self.described.file}
         if path not in listed:
-            beside = self.file.parent / path
+            try:
+                beside = self.file.parent / _relative(path)
+            except ValueError as error:
+                raise UsageError(f"{self.file}: a file of a motion {error}.") from error
             if is_file(beside) or is_folder(beside):
                 return beside
             raise UsageError(

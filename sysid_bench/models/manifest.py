@@ -376,7 +376,12 @@ def _random(source: str) -> Manifest:
 def _model_path(written: str, manifest: Path) -> tuple[Path, Path | None]:
     """The model file of a manifest, and the folder of the package that it may read files from."""
     if is_package_file(written):
-        path, assets = package_file(written, str(manifest))
+        try:
+            path, assets = package_file(written, str(manifest))
+        except UsageError:  # without the package: a copy beside the manifest, which lacks meshes
+            path, assets = manifest.parent / Path(written).name, None
+            if not is_file(path):
+                raise
     else:
         path, assets = manifest.parent / written, None
     if not is_file(path):

@@ -72,6 +72,8 @@ def run_summary(cells: "pd.DataFrame") -> RunSummary:
         if (value := _largest(cells, name)) is not None:
             row = cells.iloc[int(np.nanargmax(cells[name].astype(float)))]
             title = metric_of(name).title
+            if name == "gap" and "second_engine" in cells and cells["second_engine"].notna().any():
+                title = "Regressor gap to MuJoCo's own inverse dynamics (without Pinocchio)"
             where = f"{label(row['robot'])}, {label(row['payload'])}"
             worst.append((f"Worst {title[0].lower()}{title[1:]}", _number(value), where))
     return RunSummary(

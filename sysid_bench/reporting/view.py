@@ -1,10 +1,12 @@
 """The viewer of recordings, a program of its own."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 from sysid_bench.errors import UsageError
+from sysid_bench.extras import missing
 
 
 def view(path: Path, web: bool = False) -> subprocess.Popen[bytes]:
@@ -15,6 +17,12 @@ def view(path: Path, web: bool = False) -> subprocess.Popen[bytes]:
     if not path.is_file():
         raise UsageError(
             f"The recording {str(path)!r} does not exist; make it with sysid-bench record."
+        )
+    screen = ("DISPLAY", "WAYLAND_DISPLAY")
+    if sys.platform == "linux" and not web and not any(map(os.environ.get, screen)):
+        raise UsageError(
+            "The viewer needs a display, and this session has none (DISPLAY, WAYLAND_DISPLAY); "
+            "--web shows the recording in a browser."
         )
     more = ["--web-viewer"] if web else []
     # Bound to this machine: the viewer would else listen on every network.
@@ -28,4 +36,4 @@ def rerun_tool() -> Path:
     for name in ("rerun", "rerun.exe", "Scripts/rerun.exe"):
         if (folder / name).is_file():
             return folder / name
-    raise UsageError(f"The program rerun is missing next to {sys.executable!r}; install rerun-sdk.")
+    raise missing("rerun", f"The viewer, a program next to {sys.executable!r},")

@@ -110,6 +110,7 @@ def find_columns(tables: Tables, robot: RobotModel, joints: Sequence[str]) -> Fo
     if not files:
         unused = [name for name, _ in tables if all(x.file != name for x in found.values())]
     unused = [name for name in unused if [name] not in gains.values()]
+    said += tuple(f"{name}: gain: by its name" for name in gains)
     return Found(found, files, gains, tuple(unused), (*said, *_explained(found, unused)))
 
 

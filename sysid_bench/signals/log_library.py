@@ -4,11 +4,11 @@ them, errors of libraries as one sentence, and the progress of reading long file
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.extras import extra_module
 
 Listener = Callable[[Path, float], None]
 """(recorded file, share of it that has been read)."""
@@ -17,15 +17,8 @@ _LISTENER: Final[ContextVar[Listener | None]] = ContextVar("read_progress", defa
 
 
 def log_library(module: str, path: Path) -> Any:
-    """Return a module of the extra `logs`; raises UsageError with the command that installs it."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        library = module.partition(".")[0].replace("google", "protobuf")
-        raise UsageError(
-            f"{path} needs the library {library}, which is not installed: "
-            "pip install 'sysid-bench[logs]'."
-        ) from error
+    """Return a module that reads a file; raises UsageError with the command that installs it."""
+    return extra_module(module, str(path))
 
 
 @contextmanager

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.model_checks import recorded_warnings
@@ -14,7 +13,7 @@ from sysid_bench.simulation.plant import Plant, StateLaw, check_finite, contact_
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 CHUNK = 512
-"""Samples per MuJoCo batch."""
+"""Samples whose mass matrices are held at a time."""
 
 PLAYBACK_STEP = 2.5e-4
 """Step (s) of the internal states of force laws along a given motion, about."""
@@ -63,22 +62,19 @@ class Inverse:
 
 def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
     """Return M(q) a + bias(q, v) (N, nv) by MuJoCo; M contains the armature (rotor inertia)."""
-    # MuJoCo stores the lower triangle of M row by row, without entries that are always zero.
-    starts = zip(mj.M_rowadr, mj.M_rownnz, strict=True)
-    entries = np.concatenate([np.arange(first, first + count) for first, count in starts])
-    rows, columns = np.repeat(np.arange(mj.nv), mj.M_rownnz), np.array(mj.M_colind)[entries]
-    tau = np.empty_like(motion.v)
-    batch = Batch(mj, min(CHUNK, len(motion)), nthread=1)
-    q, v, bias, M = (batch.bind(name) for name in ("qpos", "qvel", "qfrc_bias", "M"))
-    for start in range(0, len(motion), batch.nsim):
-        part = slice(start, min(start + batch.nsim, len(motion)))
-        n = part.stop - part.start
-        q[:n], v[:n] = motion.q[part], motion.v[part]
-        # M and the bias depend on positions and velocities alone; a is multiplied below.
-        batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
-        dense = np.zeros((n, mj.nv, mj.nv))
-        dense[:, rows, columns] = dense[:, columns, rows] = M[:n, entries]
-        tau[part] = np.einsum("nij,nj->ni", dense, motion.a[part]) + bias[:n]
+    data, tau = mujoco.MjData(mj), np.empty_like(motion.v)
+    bias, M = np.empty_like(tau), np.empty((CHUNK, mj.nv, mj.nv))
+    for start in range(0, len(motion), CHUNK):
+        part = range(start, min(start + CHUNK, len(motion)))
+        for k in part:
+            # M and the bias depend on positions and velocities alone; a is multiplied below.
+            data.qpos[:], data.qvel[:] = motion.q[k], motion.v[k]
+            mujoco.mj_fwdPosition(mj, data)
+            mujoco.mj_fwdVelocity(mj, data)
+            bias[k] = data.qfrc_bias
+            mujoco.mj_fullM(mj, data, M[k - start])
+        chunk = slice(part.start, part.stop)
+        tau[chunk] = np.einsum("nij,nj->ni", M[: len(part)], motion.a[chunk]) + bias[chunk]
     return tau
 
 
@@ -110,9 +106,10 @@ def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
     return tau
 
 
-def independent_torque(robot: RobotModel, motion: Trajectory) -> tuple[Array, float]:
-    """Return the torques (N, n) of a motion of closed chains that the independent joints alone
-    drive, M a + bias - J^T f, and the largest violation of a constraint (rad, m).
+def independent_rows(robot: RobotModel, motion: Trajectory, tree: Array) -> tuple[Array, float]:
+    """Return the rows (N, n, ...) of a motion of closed chains that the independent joints alone
+    drive, from those of the tree (N, nv, ...): M a + bias - J^T f from torques; and the largest
+    violation of a constraint (rad, m).
 
     The constraint forces f follow from zero torque on the dependent joints, with MuJoCo's
     constraint Jacobian J.
@@ -124,8 +121,7 @@ def independent_torque(robot: RobotModel, motion: Trajectory) -> tuple[Array, fl
     mj.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
     mj.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
     data = mujoco.MjData(mj)
-    tree = inverse_torque(robot, motion)
-    tau, violation = tree[:, coupling.independent], 0.0
+    rows, violation = tree[:, coupling.independent], 0.0
     for k in range(len(motion)):
         data.qpos[:] = motion.q[k]
         mujoco.mj_fwdPosition(mj, data)
@@ -133,5 +129,5 @@ def independent_torque(robot: RobotModel, motion: Trajectory) -> tuple[Array, fl
         J = data.efc_J.reshape(data.nefc, mj.nv)[equality]
         violation = max(violation, float(np.abs(data.efc_pos[equality]).max(initial=0.0)))
         force = np.linalg.lstsq(J[:, coupling.dependent].T, tree[k, coupling.dependent])[0]
-        tau[k] -= J[:, coupling.independent].T @ force
-    return tau, violation
+        rows[k] -= J[:, coupling.independent].T @ force
+    return rows, violation

@@ -44,9 +44,10 @@ class Plant:
     @cached_property
     def robot_without_effects(self) -> "Plant":
         """The robot with its own joint terms and no effects, which controllers are designed for."""
-        if self.phi is not None:
-            return self
-        return plant_of(self.robot)
+        if self.phi is None:
+            return plant_of(self.robot)
+        # A candidate has no effects; a sealed plant has the inertias of its own robot.
+        return replace(plant_of(self.robot), phi=self.phi) if self.phi is self.robot.phi else self
 
     @cached_property
     def contact_free_model(self) -> mujoco.MjModel:

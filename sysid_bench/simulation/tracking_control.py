@@ -9,18 +9,10 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.compiled_steps import (
-    CompiledRun,
-    Signals,
-    damping_at_end,
-    end_of_step,
-    run_steps,
-)
-from sysid_bench.simulation.elastic_drives import Drive
+from sysid_bench.simulation.compiled_steps import CompiledRun, run_steps
 from sysid_bench.simulation.model_errors import plant_controller
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
@@ -131,16 +123,13 @@ class TrackingControl:
         whole = _with_lead_in(robot, commanded, lead)
         encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
         control = commands(controller, whole, encoder, robot)
-        # Signals of all samples; in one call of MuJoCo where nothing depends on the state
         each: int = round((whole.t[1] - whole.t[0]) / mj.opt.timestep)
         drive = drive_of(plant, controller, self.step_choice, each)
-        if not (plant.laws or plant.transmission or drive.held):
-            signals = _rollout(plant, mj, drive, whole, control)
-        else:
-            data = mujoco.MjData(mj)
-            data.qpos[:], data.qvel[:] = whole.q[0], whole.v[0]
-            loop = CompiledRun(plant, mj, data, drive, t=whole.t, control=control, each=each)
-            signals = run_steps(loop)
+        data = mujoco.MjData(mj)
+        data.qpos[:], data.qvel[:] = whole.q[0], whole.v[0]
+        signals = run_steps(
+            CompiledRun(plant, mj, data, drive, t=whole.t, control=control, each=each)
+        )
         q, v, a, tau = (x[lead:] for x in (signals.q, signals.v, signals.a, signals.tau))
         motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
         for name, array in (("position", motion.q), ("acceleration", motion.a)):
@@ -258,38 +247,6 @@ def commands(
     ratio = controller.kd / controller.kp
     rates = commanded.v[:, robot.torque_dofs]
     return np.asarray(commanded.q[:, qadr] - encoder + ratio * (rates - slope))
-
-
-def _rollout(
-    plant: Plant, mj: mujoco.MjModel, drive: Drive, commanded: Trajectory, control: Array
-) -> Signals:
-    """Signals of every sample with inputs (N, nu), in one call of MuJoCo's batch rollout."""
-    each: int = round((commanded.t[1] - commanded.t[0]) / mj.opt.timestep)
-    if each > 1:  # inputs of all steps, interpolated linearly between samples
-        following = np.concatenate([control[1:], control[-1:]])
-        parts = np.arange(each)[None, :, None] / each
-        steps = control[:, None] + parts * (following - control)[:, None]
-        control = np.asarray(steps.reshape(-1, control.shape[1]))
-    batch = Batch(mj, 1, nthread=1)
-    batch.bind("qpos")[0], batch.bind("qvel")[0] = commanded.q[0], commanded.v[0]
-    applied = np.broadcast_to(-plant.terms.offset, (len(control), mj.nv))
-    state = mujoco.mjtState
-    record = batch.rollout(
-        len(control),
-        control=np.concatenate([control, applied], axis=1)[None],
-        control_spec=int(state.mjSTATE_CTRL) | int(state.mjSTATE_QFRC_APPLIED),
-        record=["qpos", "qvel", "qacc", "qfrc_actuator"],
-    )
-    q, v, a, tau = (record[name][0] for name in ("qpos", "qvel", "qacc", "qfrc_actuator"))
-    # Records are taken after a step; accelerations and torques belong to the state before it.
-    q_before = np.concatenate([commanded.q[:1], q[:-1]])
-    v_before = np.concatenate([commanded.v[:1], v[:-1]])
-    none, v_start = np.empty((len(commanded), 0)), v_before[::each]
-    a, tau, implicit = a[::each], tau[::each], damping_at_end(mj, drive)
-    if implicit is not None:
-        change = v[::each] - v_start
-        a, tau = change / mj.opt.timestep, end_of_step(tau, change, drive, implicit)
-    return Signals(q_before[::each], v_start, a, tau, motor_q=none, motor_v=none, motor_a=none)
 
 
 def _check_tracking(

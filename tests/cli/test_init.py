@@ -333,6 +333,7 @@ def test_recordings_of_commands_are_those_of_actuators(
         assert "# tau = { pd = { q_des = " in text
         return
     assert "--task actuators" in result.next
+    assert "kp: gain: by its name" in text
     pd = tomllib.loads(text)["tau"]["pd"]
     assert pd["kp"] == [20, 20, 40] * 4
     assert pd["kd"] == [1, 1, 2] * 4

@@ -17,8 +17,9 @@ def numbers(edit: str) -> list[float]:
     return [float(x) for x in edit.split("gain = [")[1].split("]")[0].split(",")]
 
 
-@pytest.mark.parametrize("wrong", [(0, 1, 2), (2, 3), (4, 5, 3)])
-@pytest.mark.parametrize("factor", [100.0, 0.02])
+@pytest.mark.parametrize(
+    ("wrong", "factor"), [((0, 1, 2), 100.0), ((2, 3), 0.02), ((3, 4, 5), 100.0)]
+)
 def test_one_factor_on_some_joints_is_named(
     tmp_path: Path, wrong: tuple[int, ...], factor: float
 ) -> None:
@@ -31,7 +32,7 @@ def test_one_factor_on_some_joints_is_named(
     np.testing.assert_allclose(np.array(numbers(first.edit)) * gains, 1.0, rtol=0.6)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_currents_are_no_torques(tmp_path: Path, seed: int) -> None:
     log, robot = log_of("panda"), named_robot("panda")
     constants = np.exp(np.random.default_rng(seed).uniform(np.log(5), np.log(50), len(robot.rows)))
@@ -43,7 +44,7 @@ def test_currents_are_no_torques(tmp_path: Path, seed: int) -> None:
     assert np.median(np.abs(np.log(ratio))) < np.log(1.5)
 
 
-@pytest.mark.parametrize("name", ["panda", "ur5", "xarm7", "scara", "z1", "kinova", "tx40"])
+@pytest.mark.parametrize("name", ["panda", "xarm7", "scara", "kinova"])
 def test_intact_torques_have_no_gains_of_their_own(tmp_path: Path, name: str) -> None:
     """The model file's masses are off by a third in turn."""
     log, robot = log_of(name), named_robot(name)

@@ -3,6 +3,7 @@ refusal of what can be used."""
 
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from reports.make.mistakes_to_plant import HARMLESS, MISTAKES
 from reports.make.planted_mistakes import Bench, Case, cases_of, line
 from reports.make.recordings_to_diagnose import recorded_motions, recorded_subjects, with_tool
 from sysid_bench.commands.diagnose import diagnose
+from sysid_bench.signals.log_description import description_of
 
 pytestmark = pytest.mark.usefixtures("data_folder")
 
@@ -65,9 +67,22 @@ def test_a_recording_without_a_mistake_is_not_refused() -> None:
     assert refused <= {"tx40", "double_pendulum_c"}
 
 
-@pytest.mark.parametrize(
-    "kind", ["torque sign, all", "torque = velocity", "torque columns exchanged", "no velocities"]
-)
+@pytest.mark.parametrize("motion", ["multisine"])
+def test_sizes_of_currents_of_servos_are_no_torques(data_folder: Path, motion: str) -> None:
+    servos = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+    given = {
+        "file": str(data_folder / "so101_sage" / motion / "state_motor.csv"),
+        "time": {"column": "timestamp", "unit": "us"},
+        "joints": list(servos),
+        "q": {"columns": "positions"},
+        "tau": {"columns": "torques"},
+    }
+    found = diagnose(description_of(given, Path("run.toml")), "dataset:so101")
+    (first,) = (one for one in found.findings if one["severity"] == "error")
+    assert (first["name"], tuple(first["joints"])) == ("magnitude", servos)
+
+
+@pytest.mark.parametrize("kind", ["torque without sign, all", "torque = current", "no velocities"])
 def test_some_mistakes_in_one_recording(kind: str) -> None:
     one = next(iter(recorded_subjects("ur10e")))
     (mistake,) = (one for one in (*MISTAKES, *HARMLESS) if one.name == kind)

@@ -77,13 +77,13 @@ def test_a_tampered_body_regressor_is_caught(
 
 def test_a_reference_that_says_something_else_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = robot_of("ur5")
-    honest = vars(module)["pinocchio_regressor"]
+    honest = vars(module)["reference_regressor"]
 
     def permuted(robot: Any, motion: Any) -> Any:
         made = honest(robot, motion)
         return replace(made, Y=made.Y[:, ::-1])
 
-    monkeypatch.setattr(module, "pinocchio_regressor", permuted)
+    monkeypatch.setattr(module, "reference_regressor", permuted)
     assert not crosscheck(robot, samples=5).ok()
 
 

@@ -1,6 +1,7 @@
 """Small experiments: short specifications, robots of this folder and shipped ones, made once."""
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -12,12 +13,13 @@ from sysid_bench import package_folders
 from sysid_bench.evaluation.score import score
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.experiments.experiment_data import ExperimentData
-from sysid_bench.experiments.job_channel import JobChannel, ProcessEnd
+from sysid_bench.experiments.job_channel import JobChannel, Method, ProcessEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import third_party_parts
+from sysid_bench.harness.work.blind_process import blind_method
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
@@ -145,6 +147,11 @@ class Collected:
 
     def progress(self, value: Any) -> None:
         raise AssertionError("an experiment reports rows alone")
+
+    def blind_method(
+        self, estimator: Mapping[str, Any], *, simulated: bool
+    ) -> AbstractContextManager[Method]:
+        return blind_method(estimator, MODELS / "no run", simulated=simulated)
 
     def run_process(
         self, function: Callable[[JobChannel], Any], heads: Mapping[str, Row]

@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from sysid_bench.types import Estimate
+from sysid_bench.types import Estimate, Metric
 
 
 def ols(problem: Any) -> Estimate:
@@ -266,8 +266,7 @@ class ForksAndReturns(_Fault):
 
 class StartsProgram(_Fault):
     def act(self, problem: Any) -> None:
-        token = os.environ["SYSID_TEST_FAULT"]
-        command = ["sh", "-c", "sleep 3601; true", token]
+        command = ["sh", "-c", "sleep 3601; true", os.environ["TMPDIR"]]
         subprocess.Popen(command, start_new_session=True, env={})
 
 
@@ -275,13 +274,12 @@ class DaemonizesTwice(_Fault):
     """Starts a program from a grandchild in a session of its own; all in between ends."""
 
     def act(self, problem: Any) -> None:
-        token = os.environ["SYSID_TEST_FAULT"]
         child = os.fork()
         if child == 0:
             os.setsid()
             if os.fork() == 0:
                 os.setsid()
-                command = ["sh", "-c", "sleep 3601; true", token]
+                command = ["sh", "-c", "sleep 3601; true", os.environ["TMPDIR"]]
                 subprocess.Popen(command, start_new_session=True, env={})
             os._exit(0)
         os.waitpid(child, 0)
@@ -294,8 +292,9 @@ class KillsGroup(_Fault):
 
 class KillsParent(_Fault):
     def act(self, problem: Any) -> None:
-        os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(3600)
+        with contextlib.suppress(PermissionError):
+            os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(1)
 
 
 class ForgesMessages(_Fault):
@@ -313,24 +312,25 @@ class ForgesMessages(_Fault):
                 continue
 
 
-class ForgesRows(_Fault):
-    """Answers for all cells of its experiment, and for itself under the labels of another robot."""
+def forge_rows(_: Any) -> float:
+    """A metric that answers for all cells of its experiment, and for its own under the labels of
+    another robot."""
+    found: dict[str, Any] = {}
+    frame = sys._getframe()
+    while frame := frame.f_back:  # type: ignore[assignment]
+        found |= frame.f_locals.get("headers", {})
+    for cell, header in found.items():
+        row = {**header, "id": cell, "robot": "another", "estimator": "ols", "experiment": "0"}
+        row |= {"nv": 99, "fingerprint": "", "reason": "forged", "status": "ok"}
+        messages = [{"cell": cell}, {"row": row | {"torque_error": 99.0}}]
+        data = b"".join(b"\n" + json.dumps(m).encode() + b"\n" for m in messages)
+        for descriptor in range(3, 64):
+            with contextlib.suppress(OSError):
+                os.write(descriptor, data)
+    return 0.0
 
-    def act(self, problem: Any) -> None:
-        found: dict[str, Any] = {}
-        frame = sys._getframe()
-        while frame := frame.f_back:  # type: ignore[assignment]
-            found |= frame.f_locals.get("headers", {})
-        own = max(found, key=lambda cell: found[cell]["estimator"] == f"ForgesRows at {self.place}")
-        others = [{**found[cell], "reason": "forged"} for cell in found if cell != own]
-        mine = {**found[own], "robot": "another", "estimator": "ols", "experiment": "0", "nv": 99}
-        for row in (*others, {**mine, "fingerprint": "", "reason": "forged"}):
-            row |= {"status": "ok", "torque_error": 99.0}
-            messages = [{"cell": row["id"]}, {"row": row}]
-            data = b"".join(b"\n" + json.dumps(m).encode() + b"\n" for m in messages)
-            for descriptor in range(3, 64):
-                with contextlib.suppress(OSError):
-                    os.write(descriptor, data)
+
+forges = Metric("forges", "Forges", compute=forge_rows)
 
 
 class WritesToDescriptors(_Fault):

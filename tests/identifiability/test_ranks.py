@@ -1,12 +1,13 @@
 """Numbers of base parameters: known figures of robots, and formulas for families of trees."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sysid_bench import package_folders
+from sysid_bench import crosscheck, package_folders
 from sysid_bench.identifiability.base_map import structural_base, structural_count
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
@@ -129,3 +130,24 @@ def test_ranks_of_the_mjcf_collection(data_folder: Path) -> None:
     assert {
         file: inertial_base(load_robot(folder / file).without_coupling).rank for file in facts
     } == expected
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_crosscheck_says_what_is_dropped_with_its_gap(tmp_path: Path, coupled: bool) -> None:
+    (path,) = package_folders.robot_data_folder().rglob("so101.urdf")
+    text = re.sub(r"<(visual|collision)>.*?</\1>", "", path.read_text(), flags=re.DOTALL)
+    if coupled:
+        end = text.index("</joint>", text.index('<joint name="gripper"'))
+        text = f'{text[:end]}<mimic joint="shoulder_pan" multiplier="0.5"/>{text[end:]}'
+    (tmp_path / "arm.urdf").write_text(text)
+    (found,) = crosscheck(tmp_path / "arm.urdf")
+    assert found.near_degenerate == 2
+    assert found.rank_gap is not None
+    said = (
+        f"2 near-degenerate directions below 1e-05 of the largest dropped, gap {found.rank_gap:.3g}"
+    )
+    assert said in found.summary()
+    assert (found.coupling is not None) == coupled
+    if found.coupling is not None:
+        assert found.coupling["coupled_near_degenerate"] == 2
+        assert f"gap {found.coupling['coupled_rank_gap']:.3g})" in found.summary()

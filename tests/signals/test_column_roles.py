@@ -150,3 +150,20 @@ def test_positions_without_rates_are_those_of_the_model_and_rates_are_none(seed:
     assert roles.get("torque", roles.get("current")) == tuple(range(6))
     found = explain_columns(np.hstack([log.v, log.tau]), robot, robot.rows)
     assert {block.role for block in found} == {"unexplained"}
+
+
+@pytest.mark.long
+@pytest.mark.data
+def test_no_torque_of_a_known_robot_is_taken_for_a_current(data_folder: Path) -> None:
+    tried = 0
+    for file in sorted((data_folder / "robots").glob("*.xml")):
+        robot = load_robot(file)
+        scalar = all(joint.kind in ("hinge", "slide") for joint in robot.joints)
+        if robot.nv > 14 or robot.coupling is not None or not scalar:
+            continue
+        log = recorded(robot, period=4.0)
+        friction = 0.15 * log.tau.std(axis=0) * np.tanh(log.v / 0.05)
+        said = scale_contradiction(log.q, log.tau + friction, log.t, robot, log.joints)
+        assert said == "", file.name
+        tried += 1
+    assert tried >= 5

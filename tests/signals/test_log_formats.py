@@ -12,11 +12,11 @@ from rosbags import rosbag1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from sysid_bench import extras
 from sysid_bench.apps.conformance.log_reader_checks import JOINT_STATE, WRITERS
 from sysid_bench.commands.init_log import init_log
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.recording import record
-from sysid_bench.signals import log_library as log_libraries
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table, recorded_files
@@ -264,8 +264,8 @@ def test_an_absent_library_is_one_sentence(
 
     path = tmp_path / f"run{suffix}"
     WRITERS[suffix](path)
-    monkeypatch.setattr(log_libraries, "import_module", absent)
-    with pytest.raises(UsageError, match=rf"needs the library {library}.*sysid-bench\[logs\]"):
+    monkeypatch.setattr(extras, "import_module", absent)
+    with pytest.raises(UsageError, match=rf"needs {library}.*sysid-bench\[logs\]"):
         read_table(path)
 
 

@@ -1,7 +1,6 @@
 """Executor: workers of a Dask scheduler (https://distributed.dask.org), extra `cluster`."""
 
 import contextlib
-import importlib
 import ipaddress
 import time
 from collections.abc import Mapping
@@ -12,6 +11,7 @@ from urllib.parse import parse_qsl
 from sysid_bench.apps.clusters.batch import Batch, RunFiles, run_batch, run_files
 from sysid_bench.apps.clusters.batch_run import ExecutorRun, OnAnswer
 from sysid_bench.errors import UsageError, reason_of, unknown_name
+from sysid_bench.extras import extra_module
 from sysid_bench.harness.executor import RunEnd, Work
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.units import quantity
@@ -145,12 +145,7 @@ def open_dask(address: Any, is_secure: bool) -> Any:
 
 def load_dask(name: str) -> Any:
     """Return a module of the extra `cluster`; UsageError where it is not installed."""
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise UsageError(
-            f"This executor needs {name}: pip install 'sysid-bench[cluster]'."
-        ) from error
+    return extra_module(name, "This executor")
 
 
 @dataclass(eq=False)

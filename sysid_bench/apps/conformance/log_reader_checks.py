@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pyarrow import array, parquet, table
 from scipy.io import savemat
 
 from sysid_bench.apps.conformance.findings import Finding, Kit, KitCase, Law
@@ -174,6 +173,8 @@ def _write_text(file: Path) -> None:
 
 
 def _write_parquet(file: Path) -> None:
+    from pyarrow import parquet, table
+
     parquet.write_table(table(dict(zip(_NAMES, _matrix().T, strict=True))), file)
 
 
@@ -242,6 +243,8 @@ def _joint_states(store: Any) -> Iterator[tuple[int, Any]]:
 
 
 def _write_lerobot(folder: Path) -> None:
+    from pyarrow import array, parquet, table
+
     signals = _signals()
     columns = {
         "observation.state": array(signals["q"].tolist()),

@@ -14,7 +14,7 @@ from sysid_bench.experiments.simulated.composed_plant import (
     composed_plant,
     random_limits,
 )
-from sysid_bench.experiments.spec import ExperimentSpec, plant_seed, seed_of
+from sysid_bench.experiments.spec import SEALED, ExperimentSpec, plant_seed, seed_of
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import plugin_fields
 from sysid_bench.simulation.model_errors import PlantCoordinates
@@ -62,7 +62,8 @@ class BuiltPlant:
 
 
 def built_plant(spec: ExperimentSpec, loaded: LoadedRobot, model: RobotModel) -> BuiltPlant:
-    """The plant of a specification around `model`, whose errors are the same for all payloads.
+    """The plant of a specification around `model`, whose errors are the same for all payloads; the
+    inertias of a sealed one are those of `model`, not of its file.
 
     Raises UsageError for sizes that do not fit the robot.
     """
@@ -82,7 +83,10 @@ def built_plant(spec: ExperimentSpec, loaded: LoadedRobot, model: RobotModel) ->
         else:
             effects.append(plugin)
     chain = SensorChain(tuple(stages))
-    return BuiltPlant(plant_of(robot, effects), model, chain, tuple(channels), tuple(values))
+    plant = plant_of(robot, effects)
+    if spec.plant.get(SEALED):
+        plant = dataclasses.replace(plant, phi=robot.phi)
+    return BuiltPlant(plant, model, chain, tuple(channels), tuple(values))
 
 
 def _drawn_plugin(

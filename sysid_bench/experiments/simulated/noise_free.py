@@ -15,7 +15,19 @@ from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.problem import ProblemBuilder, known_model
 from sysid_bench.experiments.simulated.record import SimulatedRobot, sensor_offset
-from sysid_bench.experiments.spec import PLANT, REDRAWN, ExperimentSpec, known_seed, prior_seed
+from sysid_bench.experiments.simulated.sealed_robot import (
+    file_prior,
+    robot_of_plant,
+    stated_spread,
+)
+from sysid_bench.experiments.spec import (
+    PLANT,
+    REDRAWN,
+    SEALED,
+    ExperimentSpec,
+    known_seed,
+    prior_seed,
+)
 from sysid_bench.experiments.tasks.prior import PriorSpread, prior_of, with_known_errors
 from sysid_bench.experiments.tasks.task import Task, TaskDefinition, find_task
 from sysid_bench.models.robot import SUFFIX, RobotModel
@@ -94,7 +106,12 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     spec, robot = ExperimentSpec.from_json(json.loads(text)), loaded.robot
     definition = find_task(spec.task, loaded.folder)
     terms = unknown_terms(spec, robot, definition)
-    task = definition.unknowns(robot, terms, spec.sensor, partial(sensor_offset, spec))
+    offset = partial(sensor_offset, spec)
+    of_file = definition.unknowns(robot, terms, spec.sensor, offset)
+    task = of_file
+    if spec.plant.get(SEALED):
+        robot = robot_of_plant(spec, robot, of_file.parameters)
+        task = definition.unknowns(robot, terms, spec.sensor, offset)
     written = {} if isinstance(spec.prior, str) else dict(spec.prior)
     share = written.pop("known", 0.0)
     if share != 0.0:  # the known parts have errors, too
@@ -109,6 +126,8 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
         written.pop(REDRAWN, None)
         spread = None if isinstance(spec.prior, str) else PriorSpread(**written)
         prior = prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
+        if spec.plant.get(SEALED):  # the file, which everybody has
+            prior = file_prior(of_file, stated_spread(spec))
     design = partial(_design_problem, robot, task, base, prior)
     simulated = SimulatedRobot(spec, loaded, built, task, design)
     return NoiseFreePart(spec, task, builder, simulated, prior)

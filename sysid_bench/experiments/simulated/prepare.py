@@ -30,6 +30,7 @@ from sysid_bench.experiments.simulated.record import (
     record,
     recordings_of,
 )
+from sysid_bench.experiments.simulated.sealed_robot import robot_of_plant
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import MOTIONS, ExperimentSpec, motion_noise_seed, noise_seed
 from sysid_bench.experiments.tasks.task import Task
@@ -165,6 +166,7 @@ def _runs(
         return ()
     simulated = noise_free.simulated
     robot = load_robot(simulated.loaded.robot.manifest, parse_payload("none"), spec.free_base)
+    robot = robot_of_plant(spec, robot, noise_free.task.parameters)
     bare = replace(simulated, built=built_plant(spec, simulated.loaded, robot))
     return tuple(
         main
@@ -210,6 +212,7 @@ def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task)
     # Run 0 is the identification itself: other runs have other noise, and the same sensor errors.
     for run, payload in enumerate(spec.signals["calibration"], 1):
         robot = load_robot(loaded.robot.manifest, parse_payload(payload), spec.free_base)
+        robot = robot_of_plant(spec, robot, task.parameters)
         cuts = tuple(subtree_at(robot, cut.at, ()) for cut in task.cuts)
         simulated = SimulatedRobot(
             spec,

@@ -82,16 +82,16 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
     for body in task.bodies:
         columns = [index[column] for column in body.columns]
         inertial[columns] = True
-        theta[columns] = _drawn_body(truth.theta[columns], spread, rng)
+        theta[columns] = drawn_body(truth.theta[columns], spread, rng)
         std[columns] = prior_std(theta[columns], spread)
     kinds = np.array([name.rpartition(".")[2] for name in truth.parameters])
     for kind in dict.fromkeys(kinds[~inertial]):
         alike = ~inertial & (kinds == kind)
-        theta[alike], std[alike] = _drawn_terms(truth.theta[alike], kind, spread, rng)
+        theta[alike], std[alike] = drawn_terms(truth.theta[alike], kind, spread, rng)
     return Prior(theta, spread.declared * std_with_floor(std, truth.parameters))
 
 
-def _drawn_terms(
+def drawn_terms(
     truth: Array, kind: str, spread: PriorSpread, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """Draw the terms (n,) of one kind of all joints, and their deviations."""
@@ -115,7 +115,7 @@ def with_known_errors(task: Task, share: float, rng: np.random.Generator) -> Tas
     """Return the task with errors in its given parameters, of relative standard deviation `share`;
     of centres of mass, the same share of LENGTH."""
     spread = PriorSpread(share, share * LENGTH, share, share)
-    links = [_drawn_body(phi, spread, rng) for phi in task.known_links]
+    links = [drawn_body(phi, spread, rng) for phi in task.known_links]
     terms = {
         term: values * np.exp(share * rng.normal(size=len(values)))
         for term, values in task.known_terms.items()
@@ -135,7 +135,7 @@ def std_with_floor(std: Array, names: tuple[str, ...]) -> Array:
     return floored
 
 
-def _drawn_body(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Array:
+def drawn_body(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Array:
     """Draw phi (10,) of a feasible body: mass scaled, centre of mass moved, second moment of
     density stretched along the axes of the body frame, then turned about the centre of mass.
 

@@ -27,7 +27,10 @@ _KILL_SECONDS = 10.0
 """Time of killing: processes that fork faster than they are killed, or that the kernel holds."""
 
 
-def kill_with(parent: int, at_its_end: int = signal.SIGKILL) -> None:
+_KILL: Final = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows has no SIGKILL
+
+
+def kill_with(parent: int, at_its_end: int = _KILL) -> None:
     """Let Linux kill this process with its parent, also while compiled code runs; its orphaned
     descendants become its children."""
     if sys.platform != "linux":
@@ -122,7 +125,7 @@ def kill(processes: Iterable[int]) -> None:
     """Send SIGKILL; processes that have ended are passed over."""
     for process in processes:
         with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.kill(process, signal.SIGKILL)
+            os.kill(process, _KILL)
 
 
 def tree_of(process: int) -> list[int]:
@@ -133,6 +136,11 @@ def tree_of(process: int) -> list[int]:
         found.append(child)
         waiting += _children_of(child)
     return found
+
+
+def child_of(process: int) -> int:
+    """Return the first child of a process; the process itself where it has none."""
+    return min(_children_of(process), default=process)
 
 
 def _children_of(process: int) -> list[int]:

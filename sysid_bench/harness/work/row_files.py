@@ -56,6 +56,21 @@ def hash_error(line: bytes, *, hashed: bool) -> str | None:
     return row["id"] if hashed or HASH in row else None
 
 
+ROWS_DIGEST: Final = "rows_sha256"
+"""Key of env.json: the digest of all rows at the end of a run."""
+
+
+def rows_digest(folder: Path) -> str:
+    """Return the SHA-256 of the lines of all row files of a folder, file after file in the order in
+    which they were made."""
+    digest = hashlib.sha256()
+    for path in row_files(folder):
+        with path.open("rb") as file:
+            while part := file.read(_BLOCK):
+                digest.update(part)
+    return digest.hexdigest()
+
+
 TABLES: Final = ("joints", "parameters_table")
 """Fields of a row that are tables."""
 

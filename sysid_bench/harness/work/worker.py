@@ -19,6 +19,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,7 +27,8 @@ from typing import Any, BinaryIO
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError, reason_of, status_of
-from sysid_bench.experiments.job_channel import JobChannel, JobEnd, ProcessEnd
+from sysid_bench.experiments.job_channel import JobChannel, JobEnd, Method, ProcessEnd
+from sysid_bench.harness.work.blind_process import blind_method
 from sysid_bench.harness.work.process_tree import start_process
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.harness.work.run_process import CAN_FORK, Message, Send, run_process
@@ -135,7 +137,9 @@ def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> bool:
         function: Function = getattr(importlib.import_module(module), name)
         # The module is imported: from here on the job's own time limit holds.
         notify({"begin": True})
-        channel = _StoringChannel(job["call"], set(job["cells"]), job["losses"], writer, notify)
+        channel = _StoringChannel(
+            job["call"], set(job["cells"]), writer.path.parents[1], job["losses"], writer, notify
+        )
         value = function(job["argument"], channel)
     except _StorageError as error:
         notify({"full": reason_of(error.__cause__ or error)})
@@ -160,6 +164,7 @@ class _Channel:
 
     call: str
     open_cells: set[str]
+    run_folder: Path
 
     @property
     def cells(self) -> frozenset[str]:
@@ -175,6 +180,11 @@ class _Channel:
             )
         self._store(row)
         self.open_cells.discard(row["id"])
+
+    def blind_method(
+        self, estimator: Mapping[str, Any], *, simulated: bool
+    ) -> AbstractContextManager[Method]:
+        return blind_method(estimator, self.run_folder, simulated=simulated)
 
     def run_process(
         self, function: Callable[[JobChannel], Any], heads: Mapping[str, Row]
@@ -203,7 +213,9 @@ class _Channel:
             else:
                 self.start_cell(cell)
 
-        return run_process(lambda send: function(_ForkedChannel(self.call, cells, send)), receive)
+        return run_process(
+            lambda send: function(_ForkedChannel(self.call, cells, self.run_folder, send)), receive
+        )
 
     def start_cell(self, cell: str) -> None:
         raise NotImplementedError

@@ -313,9 +313,8 @@ class RerunRecording:
 
 def _scalar_batches(path: Path, below: str) -> Iterator[tuple[str, Any]]:
     """Yield entity and Arrow batch of each chunk of scalars that change over time."""
-    from rerun.chunk import RrdReader  # 0.6 s, spent only where such a file is read
-
-    for chunk in RrdReader(path).stream():
+    library = log_library("rerun.chunk", path)  # 0.6 s, spent only where such a file is read
+    for chunk in library.RrdReader(path).stream():
         entity = chunk.entity_path.strip("/")
         is_below = not below or entity == below or entity.startswith(f"{below}/")
         if is_below and not chunk.is_static:

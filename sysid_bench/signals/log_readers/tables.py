@@ -13,7 +13,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import check_file, parse_json, read_text
-from sysid_bench.signals.log_library import library_errors, report
+from sysid_bench.signals.log_library import library_errors, log_library, report
 from sysid_bench.signals.log_table import (
     LARGEST_LOG,
     LogTable,
@@ -254,13 +254,13 @@ def _read_parquet(path: Path, columns: Sequence[str] | None = None) -> dict[str,
     Raises UsageError for a damaged file or one without numbers, OSError for one that is not a file
     or too large.
     """
-    import pyarrow.parquet
+    parquet = log_library("pyarrow.parquet", path)
 
     check_file(path, LARGEST_LOG)
     found: dict[str, Array] = {}
     done = 0
     with library_errors(path, "a parquet file that can be read"):
-        file = pyarrow.parquet.ParquetFile(path)
+        file = parquet.ParquetFile(path)
         groups = [file.metadata.row_group(k) for k in range(file.num_row_groups)]
         N, unpacked = file.metadata.num_rows, sum(group.total_byte_size for group in groups)
         # Repeated values take next to no place in the file.
@@ -279,7 +279,7 @@ def _read_parquet(path: Path, columns: Sequence[str] | None = None) -> dict[str,
                 done += len(batch)
                 report(path, done, N)
             # What Arrow has unpacked of a group of rows is given back.
-            pyarrow.default_memory_pool().release_unused()
+            log_library("pyarrow", path).default_memory_pool().release_unused()
     if not found or done != N:
         raise UsageError(f"{path} holds no column of numbers.")
     return found

@@ -174,7 +174,7 @@ class CheckResult(Result):
     """Check of a submission: `cells` of the `drawable` ones, drawn with `seed`, were run again;
     `different` are the values that came out otherwise; `planned` the cells whose id or labels are
     not those of the suite; `changed` the rows (file:line) that were changed after they were
-    written."""
+    written, and env.json where its digest is of other rows; `digest`: the SHA-256 of all rows."""
 
     folder: str
     seed: int
@@ -183,6 +183,7 @@ class CheckResult(Result):
     different: list[dict[str, Any]]
     planned: list[str]
     changed: list[str]
+    digest: str
 
     @property
     def ok(self) -> bool:
@@ -201,7 +202,8 @@ class CheckResult(Result):
         drawn, of = len(self.cells), self.drawable
         lines = [
             f"{self.folder}: {'accepted' if self.ok else 'refused'}; {drawn} of "
-            f"{of} cells were run again (seed {self.seed})"
+            f"{of} cells were run again (seed {self.seed})",
+            f"digest of its rows: {self.digest}",
         ]
         if self.changed:
             lines.append(f"rows changed after they were written: {first_names(self.changed)}")
@@ -296,6 +298,8 @@ def read_submission(folder: Path) -> "Submission":
             raise unknown_name("key of a submission", key, known)
         if not isinstance(value, str):
             raise UsageError(f"{str(file)!r}: {key} is a text; got {value!r}.")
+    if (url := data.get("url", "")) and not url.startswith("https://"):
+        raise UsageError(f"{str(file)!r}: url is the address of a page, https://...; got {url!r}.")
     return Submission(**data)
 
 
@@ -336,6 +340,7 @@ def check_submission(
     """
     from sysid_bench.commands.run_folder import no_rows, open_run
     from sysid_bench.harness.suite.model import Origin
+    from sysid_bench.harness.work.row_files import ROWS_DIGEST, rows_digest
 
     if not 0 < share <= 1:
         raise UsageError(f"The share is {share:g}; give a part of the cells, above 0 and up to 1.")
@@ -345,6 +350,9 @@ def check_submission(
         rows = run.rows()
         if not rows.rows:
             raise no_rows(open_run(folder))
+        changed, digest = list(rows.garbled), rows_digest(run.path / "cells")
+        if run.environment.get(ROWS_DIGEST, digest) != digest:
+            changed.append(f"env.json ({ROWS_DIGEST})")
         # The suite with its files in the folder of the submission: models in robots/ of it.
         here = Path(folder).resolve()
         robots = str(here / "robots") if (here / "robots").is_dir() else None
@@ -366,7 +374,8 @@ def check_submission(
         cells=drawn,
         different=different,
         planned=planned,
-        changed=list(rows.garbled),
+        changed=changed,
+        digest=digest,
     )
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import mujoco
-import pinocchio
 
 from sysid_bench.commands.crosscheck import crosscheck
 from sysid_bench.experiments.job_channel import JobChannel
@@ -61,7 +60,9 @@ def _degrees_of_freedom(engine: str, file: Path) -> int | str:
         return " ".join(str(error).split())[:300] or type(error).__name__
 
 
-def _in_pinocchio(file: Path) -> pinocchio.Model:
+def _in_pinocchio(file: Path) -> Any:
+    import pinocchio
+
     # By content: URDF files are called .xml as well.
     if b"<robot" in file.read_bytes():
         return pinocchio.buildModelFromUrdf(str(file))

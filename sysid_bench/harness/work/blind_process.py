@@ -1,0 +1,253 @@
+"""A third-party method in a process of its own, which was started fresh and never held the truth.
+
+To its caller it is an estimator, whose calls are answered by that process: see blind_worker.py. One
+process serves one estimator of one experiment.
+"""
+
+import contextlib
+import inspect
+import json
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+
+from sysid_bench.experiments.blind_data import method_data
+from sysid_bench.experiments.job_channel import MethodEnd, ProcessEnd, peak_memory
+from sysid_bench.experiments.spec import SEEDS
+from sysid_bench.experiments.third_party import loaded_sources
+from sysid_bench.harness.work.confinement import NAMESPACES, PROCESS, hide_memory
+from sysid_bench.harness.work.process_tree import MARK, child_of, kill_subtree, memory_use
+from sysid_bench.harness.work.run_process import end_of_process
+from sysid_bench.types import Estimate, Experiment, Problem
+from sysid_bench.words import STATUSES
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
+ISOLATION: Final = "SYSID_BENCH_ISOLATION"
+"""Environment variable: `process` runs methods without namespaces, as where the system has none."""
+
+_INHERITED: Final = (
+    "PATH", "PYTHONPATH", "VIRTUAL_ENV", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "SYSTEMROOT",
+    "LD_LIBRARY_PATH", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
+    "SYSID_BENCH_KERNEL", MARK,
+)  # fmt: skip
+"""What a method inherits of the environment: no file of seeds, no token of the user."""
+_LONGEST: Final = 1 << 26
+_POLL_SECONDS: Final = 0.1
+_CONFINEMENT: Final = 50_000_000
+"""Bytes of the two processes around a confined one, and a margin."""
+_GRACE_SECONDS: Final = 2.0
+
+
+class BlindMethod:
+    """Estimator whose `solve` and `fit`, where the method has them, run in its process.
+
+    `isolation` is that of its process; `sources` are the third-party files that it had loaded.
+    """
+
+    def __init__(self, process: "subprocess.Popen[bytes]", simulated: bool) -> None:
+        self.seconds = self.seconds_cpu = 0.0
+        self.isolation = PROCESS
+        self.sources: dict[str, str] = {}
+        self.calls: tuple[str, ...] = ()
+        self._process, self._simulated = process, simulated
+        self._inbox: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("solve", "fit") or name not in self.__dict__.get("calls", ()):
+            raise AttributeError(name)
+        return partial(self._call, name)
+
+    def start(self, head: Mapping[str, Any]) -> None:
+        """Send what the process needs to find its method, and wait until it is built.
+
+        Raises MethodEnd where that fails.
+        """
+        self._send(json.dumps(head).encode() + b"\n")
+        self.isolation = str(self._next("isolation")["isolation"])
+        confined = self.isolation == NAMESPACES
+        # Confined, it is the child of the first process of its namespace.
+        inner = child_of(child_of(self._process.pid)) if confined else self._process.pid
+        self._pid = inner or self._process.pid
+        self.calls = tuple(self._next("calls")["calls"])
+
+    def used_seconds(self) -> tuple[float, float]:
+        """Seconds and CPU seconds of all calls."""
+        return self.seconds, self.seconds_cpu
+
+    @property
+    def peak_memory(self) -> float | None:
+        """Largest resident memory of the process in MB; None where the system does not tell it."""
+        return peak_memory(self._pid)
+
+    def _call(self, name: str, data: Problem | Experiment) -> Estimate:
+        experiment: Experiment | None = None
+        if isinstance(data, Experiment):
+            # Calls of the simulation are counted where they are made.
+            experiment = replace(data, simulate=inspect.unwrap(data.simulate))
+        problem = data.problem if isinstance(data, Experiment) else data
+        sent = method_data(problem, experiment, simulated=self._simulated)
+        self._send(json.dumps({"call": name, "bytes": len(sent)}).encode() + b"\n" + sent)
+        self._next("ready")
+        start, cpu_start = time.perf_counter(), self._cpu()
+        self._send(b"\n")
+        answer = self._next("estimate")
+        self.seconds += time.perf_counter() - start
+        self.seconds_cpu += self._cpu() - cpu_start
+        self.sources = loaded_sources(answer.get("modules", ()))
+        return _estimate(answer["estimate"])
+
+    def _cpu(self) -> float:
+        """CPU seconds of the process; its children count once they have ended."""
+        if sys.platform != "linux":
+            return time.perf_counter()  # the wall clock bounds it from above
+        with contextlib.suppress(OSError):
+            # clock_getcpuclockid(3) of another process
+            own = time.clock_gettime((~self._pid << 3) | 2)
+            fields = Path(f"/proc/{self._pid}/stat").read_text().rpartition(")")[2].split()
+            return own + sum(map(int, fields[13:15])) / os.sysconf("SC_CLK_TCK")
+        return 0.0
+
+    def _send(self, data: bytes) -> None:
+        pipe = self._process.stdin
+        assert pipe is not None
+        with contextlib.suppress(OSError):  # it has ended, which the answer says
+            pipe.write(data)
+            pipe.flush()
+
+    def _next(self, key: str) -> dict[str, Any]:
+        """Return the next answer with a key; raises MethodEnd at the end of the process, and for an
+        error that it reports."""
+        while True:
+            try:
+                answer = self._inbox.get(timeout=_POLL_SECONDS)
+            except queue.Empty:
+                if self._process.poll() is None:
+                    continue
+                answer = None  # one of its children may keep the pipe open
+            if answer is None:
+                raise MethodEnd(self._end())
+            if "modules" in answer:
+                self.sources = loaded_sources(answer["modules"])
+            match answer.get("error"):
+                case [str(status), str(reason), str(text)] if status in STATUSES:
+                    raise MethodEnd(ProcessEnd(status, reason, text))
+            if key in answer:
+                return answer
+
+    def _end(self) -> ProcessEnd:
+        """How the process has ended, or that it has closed its pipe and goes on."""
+        try:
+            return ProcessEnd(*end_of_process(self._process.wait(_GRACE_SECONDS)))
+        except subprocess.TimeoutExpired:
+            return ProcessEnd("crash", "its process closed the pipe of its result")
+
+    def _listen(self) -> None:
+        pipe = self._process.stdout
+        assert pipe is not None
+        for message in _messages(pipe):
+            self._inbox.put(message)
+        self._inbox.put(None)
+
+
+def _messages(pipe: IO[bytes]) -> Iterator[dict[str, Any]]:
+    """Yield JSON objects; a method may write other lines into its pipe, which are left out."""
+    with contextlib.suppress(OSError, ValueError):
+        while (line := pipe.readline(_LONGEST)) and line.endswith(b"\n"):
+            with contextlib.suppress(ValueError, RecursionError):
+                message = json.loads(line)
+                if isinstance(message, dict):
+                    yield message
+
+
+@contextmanager
+def blind_method(
+    estimator: Mapping[str, Any], run_folder: Path, *, simulated: bool
+) -> Iterator[BlindMethod]:
+    """Start the process of an estimator {use, settings} and end it with all that it has started.
+
+    Its folder, the only one that it can write to, is empty, and its environment has what libraries
+    need. The run folder, whose rows have true values, and the file of seeds are hidden from it.
+    Raises MethodEnd where the method cannot be built.
+    """
+    hidden = [os.path.abspath(run_folder), os.environ.get(SEEDS, "")]
+    with tempfile.TemporaryDirectory(prefix="sysid_method_", ignore_cleanup_errors=True) as folder:
+        environment = {key: os.environ[key] for key in _INHERITED if key in os.environ}
+        hide_memory(True)  # until it is known that nobody can look
+        process = subprocess.Popen(
+            [sys.executable, "-m", "sysid_bench.harness.work.blind_worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            cwd=folder,
+            env={**environment, "TMPDIR": folder, "HOME": folder},
+            start_new_session=True,
+        )
+        # Messages name a method by its class.
+        kind = type(str(estimator["use"]).rpartition(":")[2], (BlindMethod,), {})
+        method: BlindMethod = kind(process, simulated)
+        wanted = os.environ.get(ISOLATION, NAMESPACES)
+        try:
+            method.start(
+                {
+                    "hidden": [os.path.abspath(path) for path in hidden if path],
+                    "folder": folder,
+                    "memory": _free_memory(),
+                    "isolation": wanted,
+                    "path": [entry or os.getcwd() for entry in sys.path],
+                    "estimator": dict(estimator),
+                }
+            )
+            hide_memory(method.isolation == PROCESS)
+            yield method
+        finally:
+            hide_memory(False)
+            process.kill()
+            process.wait()
+            kill_subtree()
+            for pipe in (process.stdin, process.stdout):
+                with contextlib.suppress(OSError):
+                    pipe and pipe.close()
+
+
+def _free_memory() -> int | None:
+    """Bytes that the limit of this process leaves to a method; None without a limit.
+
+    The supervisor ends a worker whose processes are together above it: a method whose own
+    allocation fails before can say so.
+    """
+    if resource is None:
+        return None
+    limit = resource.getrlimit(resource.RLIMIT_DATA)[0]
+    if limit == resource.RLIM_INFINITY:
+        return None
+    return max(int(limit - memory_use(os.getpid(), 0.0)) - _CONFINEMENT, _CONFINEMENT)
+
+
+def _estimate(found: Any) -> Estimate:
+    """The estimate of an answer. Shapes and values are checked as those of any method are."""
+    given = dict(found) if isinstance(found, dict) else {}
+    for name in ("beta", "theta", "covariance", "sigma"):
+        if given.get(name) is not None:
+            # None stands for a number that is not finite.
+            given[name] = np.array(given[name], dtype=float)
+    stats = given.get("stats")
+    if isinstance(stats, dict):
+        given["stats"] = {key: np.nan if x is None else x for key, x in stats.items()}
+    known = {field.name for field in fields(Estimate)}
+    return Estimate(**{key: value for key, value in given.items() if key in known})

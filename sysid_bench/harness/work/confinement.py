@@ -1,0 +1,160 @@
+"""Confinement of this process on Linux: without the other processes, the network and some files.
+
+A method that is scored shares its user with the processes that hold the truth. In namespaces of
+its own it sees no other process (no `/proc/PID/mem`, no `process_vm_readv`), has no network, can
+write to its folder alone, and the files that are hidden from it are empty; it cannot leave, having
+no capability there. Where the system refuses namespaces, what remains is a process without
+privileges (`PROCESS`).
+"""
+
+import contextlib
+import ctypes
+import os
+import signal
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final, NoReturn
+
+from sysid_bench.harness.work.process_tree import kill_with
+
+NAMESPACES, PROCESS = "namespaces", "process"
+"""Isolation of a method: all of the above, or a fresh process alone."""
+
+_NEW_MOUNTS, _NEW_IPC, _NEW_USER = 0x00020000, 0x08000000, 0x10000000
+_NEW_PROCESSES, _NEW_NETWORK = 0x20000000, 0x40000000
+_BIND, _RECURSIVE, _PRIVATE = 0x1000, 0x4000, 0x40000
+_NO_DEVICES_OR_PROGRAMS: Final = 0x2 | 0x4 | 0x8
+_PR_SET_DUMPABLE, _PR_CAPBSET_DROP, _PR_SET_NO_NEW_PRIVS = 4, 24, 38
+_MOUNT_SETATTR, _RECURSIVE_AT = 442, 0x8000
+_DESCRIPTORS: Final = 256
+"""More than a process has that was just started."""
+_CAPABILITIES: Final = 64
+_CAPABILITY_VERSION: Final = 0x20080522
+
+
+def confine(folder: str, hidden: Iterable[str], wanted: str = NAMESPACES) -> str:
+    """Go on in a confined process, which can write to `folder` alone and to which the paths
+    `hidden` are empty; return its isolation.
+
+    With namespaces this process stays, as the parent of the confined one, and ends as that ends,
+    with all that it has started.
+    """
+    if sys.platform != "linux":
+        return PROCESS
+    kill_with(os.getppid())
+    libc = ctypes.CDLL(None, use_errno=True)
+    isolation = PROCESS
+    if wanted == NAMESPACES and _enter_namespaces(libc, folder, hidden):
+        _fork_inside(libc)
+        isolation = NAMESPACES
+    _drop_capabilities(libc)
+    return isolation
+
+
+def hide_memory(hidden: bool) -> None:
+    """Keep other processes of this user, unless they are root with its capabilities, from reading
+    the memory and the environment of this one, or allow it again."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0 if hidden else 1)
+
+
+def _enter_namespaces(libc: ctypes.CDLL, folder: str, hidden: Iterable[str]) -> bool:
+    """Enter namespaces of users, mounts, processes (for children), network and messages; return
+    False where the system refuses."""
+    user, group = os.getuid(), os.getgid()
+    kinds = _NEW_USER | _NEW_MOUNTS | _NEW_PROCESSES | _NEW_NETWORK | _NEW_IPC
+    if libc.unshare(kinds) != 0:
+        return False
+    # Files belong to the same user and group as before.
+    Path("/proc/self/setgroups").write_text("deny")
+    Path("/proc/self/uid_map").write_text(f"{user} {user} 1")
+    Path("/proc/self/gid_map").write_text(f"{group} {group} 1")
+    _mount(libc, None, "/", None, _RECURSIVE | _PRIVATE)
+    for path in filter(os.path.exists, hidden):
+        if os.path.isdir(path):
+            _mount(libc, "none", path, "tmpfs", _NO_DEVICES_OR_PROGRAMS)
+        else:
+            _mount(libc, "/dev/null", path, None, _BIND)
+    _mount(libc, folder, folder, None, _BIND)
+    _set_read_only(libc, "/", read_only=True)
+    _set_read_only(libc, folder, read_only=False)
+    os.chdir(folder)  # that of the new mount
+    return True
+
+
+def _set_read_only(libc: ctypes.CDLL, path: str, *, read_only: bool) -> None:
+    """Make all mounts at and below a path read-only, or writable (mount_setattr, Linux 5.12)."""
+    attributes = (ctypes.c_uint64 * 4)(*((1, 0) if read_only else (0, 1)), 0, 0)
+    at = ctypes.c_char_p(os.fsencode(path))
+    if libc.syscall(_MOUNT_SETATTR, -1, at, _RECURSIVE_AT, attributes, ctypes.c_size_t(32)) != 0:
+        raise OSError(ctypes.get_errno(), f"mount_setattr of {path}")
+
+
+def _mount(
+    libc: ctypes.CDLL, source: str | None, target: str, kind: str | None, flags: int
+) -> None:
+    texts = [None if text is None else os.fsencode(text) for text in (source, target, kind)]
+    if libc.mount(*texts, ctypes.c_ulong(flags), None) != 0:
+        raise OSError(ctypes.get_errno(), f"mount of {target}")
+
+
+def _fork_inside(libc: ctypes.CDLL) -> None:
+    """Return in a grandchild, the second process of the namespace; its parent is the first one,
+    with which the kernel ends all others."""
+    status_in, status_out = os.pipe()
+    first = os.fork()
+    if first:
+        os.close(status_out)
+        _end_like(status_in, first)
+    kill_with(os.getppid())
+    os.close(status_in)
+    try:
+        _mount(libc, "proc", "/proc", "proc", _NO_DEVICES_OR_PROGRAMS)
+    except OSError:  # containers may refuse: then there is no /proc
+        _mount(libc, "none", "/proc", "tmpfs", _NO_DEVICES_OR_PROGRAMS)
+    # The first process of a namespace ignores signals, its own as well: methods run in another one.
+    second = os.fork()
+    if second == 0:
+        os.close(status_out)
+        os.setsid()
+        return
+    _close_pipes(keep=status_out)
+    ended, status = 0, 0
+    while ended != second:
+        ended, status = os.wait()
+    os.write(status_out, status.to_bytes(4, "little"))
+    os._exit(0)
+
+
+def _end_like(status_in: int, first: int) -> NoReturn:
+    """Wait for the namespace and end this process as its method has ended: with its exit code, or
+    by its signal; without a status, SIGKILL came from outside."""
+    _close_pipes(keep=status_in)
+    data = os.read(status_in, 4)
+    os.waitpid(first, 0)
+    status = int.from_bytes(data, "little") if len(data) == 4 else int(signal.SIGKILL)
+    code = os.waitstatus_to_exitcode(status)
+    if code < 0:
+        hide_memory(True)  # no core file
+        with contextlib.suppress(OSError, ValueError):  # SIGKILL has no handler
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(code & 0xFF)
+
+
+def _close_pipes(keep: int) -> None:
+    """Leave the pipes to the method: they end with it."""
+    # Not by /proc/self/fd: /proc may be that of the namespace already.
+    for low, high in ((0, 2), (3, keep), (keep + 1, _DESCRIPTORS)):
+        os.closerange(low, high)
+
+
+def _drop_capabilities(libc: ctypes.CDLL) -> None:
+    """Give up all privileges for ever, also those that root, or a program, would have again."""
+    for capability in range(_CAPABILITIES):
+        libc.prctl(_PR_CAPBSET_DROP, capability, 0, 0, 0)
+    header = (ctypes.c_uint32 * 2)(_CAPABILITY_VERSION, 0)
+    libc.capset(header, (ctypes.c_uint32 * 6)())
+    libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)

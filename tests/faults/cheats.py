@@ -1,0 +1,190 @@
+"""Estimators that look for the truth, or for a way to change what is written; one class a cheat.
+
+`reach(problem)` is True where a cheat has what it looks for; it stands in `stats` of the row.
+"""
+
+import contextlib
+import ctypes
+import gc
+import os
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid_bench.types import Estimate
+
+
+class _Cheat:
+    def __init__(self, run: str = "", seeds: str = "", port: int = 0) -> None:
+        """Know the run folder, the file of seeds and a port that somebody listens to."""
+        self.run, self.seeds, self.port = Path(run), Path(seeds), port
+
+    def solve(self, problem: Any) -> Estimate:
+        reached = False
+        with contextlib.suppress(OSError):
+            reached = bool(self.reach(problem))
+        beta = np.linalg.lstsq(problem.W, problem.b, rcond=None)[0]
+        return Estimate(beta, stats={"reached": float(reached)})
+
+    def reach(self, problem: Any) -> bool:
+        raise NotImplementedError
+
+
+class Honest(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        return False
+
+
+class Heap(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        names = {type(one).__name__ for one in gc.get_objects()}
+        return not names.isdisjoint({"Truth", "Oracle", "ExperimentData", "BuiltPlant"})
+
+
+class Frames(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        frame = sys._getframe()
+        while frame := frame.f_back:  # type: ignore[assignment]
+            if any(hasattr(one, "source") for one in frame.f_locals.values()):
+                return True
+        return False
+
+
+class References(_Cheat):
+    """Follows all references from the data that it was given."""
+
+    def reach(self, problem: Any) -> bool:
+        waiting, seen = [problem], set[int]()
+        while waiting and len(seen) < 100_000:
+            one = waiting.pop()
+            if id(one) in seen or isinstance(one, type(sys)):
+                continue
+            seen.add(id(one))
+            if type(one).__name__ in ("Truth", "Oracle", "ExperimentData", "Task"):
+                return True
+            waiting += gc.get_referents(one)
+            waiting += gc.get_referrers(one) if len(seen) < 100 else []
+        return False
+
+
+def _others() -> Iterator[Path]:
+    """Processes that this one does not descend to or from within its namespace."""
+    own = {os.getpid(), 1}
+    yield from (p for p in Path("/proc").iterdir() if p.name.isdigit() and int(p.name) not in own)
+
+
+class Memory(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        for process in _others():
+            with contextlib.suppress(OSError), (process / "mem").open("rb"):
+                return True
+        return False
+
+
+class VirtualMemory(_Cheat):
+    """Calls process_vm_readv on every process that has a number."""
+
+    def reach(self, problem: Any) -> bool:
+        libc, buffer = ctypes.CDLL(None, use_errno=True), ctypes.create_string_buffer(8)
+        local = (ctypes.c_size_t * 2)(ctypes.addressof(buffer), 8)
+        remote = (ctypes.c_size_t * 2)(0x10000, 8)
+        for number in range(2, 70_000):
+            if number != os.getpid():
+                ctypes.set_errno(0)
+                libc.process_vm_readv(number, local, 1, remote, 1, 0)
+                if ctypes.get_errno() == 14:  # EFAULT: allowed, at a wrong address
+                    return True
+        return False
+
+
+class Environment(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        return any("SEED" in name or "TOKEN" in name for name in os.environ)
+
+
+class OtherEnvironments(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        for process in _others():
+            with contextlib.suppress(OSError):
+                if b"SYSID_BENCH_SEEDS=" in (process / "environ").read_bytes():
+                    return True
+        return False
+
+
+class Descriptors(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        for process in _others():
+            with contextlib.suppress(OSError):
+                links = (os.readlink(one) for one in (process / "fd").iterdir())
+                if any("/cells/" in link for link in links):
+                    return True
+        return False
+
+
+class SeedFile(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        return any(len(line) >= 32 for line in self.seeds.read_text().split())
+
+
+class Rows(_Cheat):
+    """Reads true values in the rows of the cells before it."""
+
+    def reach(self, problem: Any) -> bool:
+        return any(b'"true"' in file.read_bytes() for file in self.run.glob("cells/*.jsonl"))
+
+
+class WritesRows(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        files = list(self.run.glob("cells/*.jsonl"))
+        for file in files:
+            with file.open("ab"):
+                pass
+        return bool(files)
+
+
+class Links(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        Path("link").symlink_to(self.run / "cells")
+        return any(file.stat().st_size for file in Path("link").glob("*.jsonl"))
+
+
+class Network(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        with socket.create_connection(("127.0.0.1", self.port), timeout=5):
+            return True
+
+
+class Scorer(_Cheat):
+    """Replaces what scores it, in its own process."""
+
+    def reach(self, problem: Any) -> bool:
+        from sysid_bench.evaluation import score as scoring
+        from sysid_bench.experiments import execute, experiment_data
+
+        for module in (scoring, execute, experiment_data):
+            for name in ("score", "identify", "base_parameters"):
+                if hasattr(module, name):
+                    setattr(module, name, lambda *_, **__: {"torque_error": 0.0})
+        return False
+
+
+class Clock(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        for name in ("perf_counter", "process_time", "monotonic", "time"):
+            setattr(time, name, lambda: -1e18)
+        return False
+
+
+class Preload(_Cheat):
+    """Leaves what a process after it would load."""
+
+    def reach(self, problem: Any) -> bool:
+        found = "LD_PRELOAD" in os.environ or Path("left").exists()
+        os.environ["LD_PRELOAD"] = "libleft.so"
+        Path("left").write_text("left")
+        return found
