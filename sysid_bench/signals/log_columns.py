@@ -15,7 +15,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import column_names
 from sysid_bench.signals.column_names import CURRENTS, is_signal, role_of, words_of
 from sysid_bench.signals.column_roles import DOUBT, explain_columns
-from sysid_bench.signals.log_checks import check_finite, is_rate
+from sysid_bench.signals.log_checks import is_rate
 from sysid_bench.signals.log_keys import SIGNALS
 from sysid_bench.signals.log_table import LogTable, table_of_rows
 from sysid_bench.signals.torque_scale import scale_contradiction
@@ -291,14 +291,11 @@ def _gains(tables: Tables) -> dict[str, Any]:
 
 
 def _is_acceleration(found: Mapping[str, Columns]) -> bool:
-    """Test whether what is named as torques (N, k) is the derivative of a signal that is itself the
-    derivative of another one, or the second derivative of one."""
-    x = found["tau"].values
+    """Test whether what is named as torques (N, k) is the derivative of the rates, recorded or from
+    positions."""
     others = [found[name].values for name in ("q", "v") if name in found]
-    others = [one for one in others if one.shape == x.shape and len(one) > 1]
-    others = [one for one in others if not check_finite(one).any()]
-    rates = [one for one in others if any(is_rate(q, one) for q in others if q is not one)]
-    return any(is_rate(v, x) for v in [*rates, *(np.gradient(q, axis=0) for q in others)])
+    rates = [np.gradient(x, axis=0) for x in others[:1] if len(x) > 1] + others[1:]
+    return any(is_rate(v, found["tau"].values) for v in rates)
 
 
 def _unused(found: Mapping[str, Columns], tables: Tables) -> list[str]:
