@@ -127,7 +127,7 @@ class _CellItem(pytest.Item):
         if row is None:
             raise _CellFailure(f"The run ended without a row of this cell.\n{self.run.log}")
         baseline = self.run.baseline
-        is_known = baseline is not None and self.cell.id in baseline.run.cells
+        is_known = baseline is not None and baseline.run.has_cell(self.cell.first_fields)
         if row["status"] in _SKIPPED and not is_known:
             pytest.skip(str(row.get("reason") or row["status"]))
         text = cell_text(self.cell, row, baseline, str(self.run.folder))

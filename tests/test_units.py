@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sysid_bench import units
 from sysid_bench.errors import UsageError
 from sysid_bench.signals import log_samples
-from sysid_bench.units import check_unit, parse_quantity, quantity
+from sysid_bench.units import check_unit, interval, parse_quantity, quantity
 
 # What one of each unit is in SI, written out again: a wrong factor in the package shows here.
 DIMENSIONS: list[dict[str, float]] = [
@@ -42,6 +42,29 @@ def test_a_written_unit_decides_whatever_unit_was_wanted(x: float, pair: tuple[s
 
 def test_the_table_above_names_every_unit_of_the_package() -> None:
     assert [*map(set, units._DIMENSIONS)] == [*map(set, DIMENSIONS)]
+
+
+@pytest.mark.parametrize("unit", SI)
+def test_one_of_each_unit_is_its_size(unit: str) -> None:
+    """Each of them, which random draws need not meet."""
+    assert quantity(1, unit) == quantity(f"1 {unit}", unit) == pytest.approx(SI[unit], rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "ends"),
+    [("10 s to 25 s", (10, 25)), ("500 ms to 1 min", (0.5, 60)), ("-1 to 0", (-1, 0))],
+)
+def test_a_period_is_two_times_in_seconds(text: str, ends: tuple[float, float]) -> None:
+    assert interval(text) == ends
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["5 s", "5 s to", "to 5 s", "5 s to 5 s", "6 s to 5 s", "1 m to 2 m", "1 - 2 s", 5, None],
+)
+def test_what_is_no_period_is_refused(text: Any) -> None:
+    with pytest.raises(UsageError):
+        interval(text)
 
 
 # Of recordings, beside those above.

@@ -240,6 +240,7 @@ class Gate(Request["GateResult"]):
         from sysid_bench.commands.run_folder import open_run
         from sysid_bench.harness.comparison.baseline import EXACT_DIGITS
         from sysid_bench.harness.comparison.run_difference import moved_values
+        from sysid_bench.harness.comparison.run_values import with_ids_of
 
         known = known_baseline(self.baseline, times=self.times)
         run, file = open_run(self.folder), str(self.baseline)
@@ -252,11 +253,12 @@ class Gate(Request["GateResult"]):
         if not self.exact:
             return result
         now = values_of_run(run, tuple(known.run.metrics))
-        changes = moved_values(known.run, now, known.tolerances)
+        before = with_ids_of(known.run, now)
+        changes = moved_values(before, now, known.tolerances)
         return replace(
             result,
-            moved=[change_json(known.run, change) for change in changes],
-            text=f"{moved_text(known.run, changes, result.origin)}\n\n{result.text}",
+            moved=[change_json(before, change) for change in changes],
+            text=f"{moved_text(before, changes, result.origin)}\n\n{result.text}",
         )
 
     def exit_code(self, result: "GateResult") -> int:
@@ -303,6 +305,7 @@ def gate_run(
     # Without --times the speeds of the baseline are left out: they are not to be missed.
     before = known.run if times else replace(known.run, speeds={})
     changes = find_difference(before, now, known.tolerances, partial=partial)
+    before = changes.before
     compared = len(set(before.cells).intersection(now.cells))
     if not compared:
         raise UsageError(
@@ -471,8 +474,9 @@ def cell_text(
     from sysid_bench.commands.run_folder import rerun_command
 
     wrong: list[str] = []
-    if baseline is not None and cell.id in baseline.run.cells:
-        wrong = _changes_of_row(cell, row, baseline)
+    changes = None if baseline is None else _changes_of_row(cell, row, baseline)
+    if changes is not None:
+        wrong = changes
     elif row["status"] != "ok" or row.get("crosscheck") == "failed":
         wrong = [str(row.get("reason") or "the cross-check failed")]
     if not wrong:
@@ -482,8 +486,8 @@ def cell_text(
     return "\n\n".join([*wrong, "\n".join(facts), again])
 
 
-def _changes_of_row(cell: "Cell", row: Mapping[str, Any], baseline: "Baseline") -> list[str]:
-    """Tables of what is worse than the baseline."""
+def _changes_of_row(cell: "Cell", row: Mapping[str, Any], baseline: "Baseline") -> list[str] | None:
+    """Tables of what is worse than the baseline; None where it has no such cell."""
     from sysid_bench.commands.changes import largest_first, tables_text
     from sysid_bench.harness.comparison.run_difference import find_difference
     from sysid_bench.harness.comparison.run_values import cell_values, settings_key, true_values
@@ -495,8 +499,10 @@ def _changes_of_row(cell: "Cell", row: Mapping[str, Any], baseline: "Baseline") 
     truth = true_values(table)
     parameters = {settings_key(first, table): truth} if truth else {}
     # A run of one cell: partial, so that all others of the baseline do not count as gone.
-    now = replace(known, cells={cell.id: values}, parameters=parameters)
+    now = replace(known, cells={cell.id: values}, parameters=parameters, heads={cell.id: first})
     changes = find_difference(known, now, baseline.tolerances, partial=True)
+    if changes.appeared:
+        return None
     if not changes.is_failed:
         return []
     return tables_text("Worse than the baseline", changes, largest_first(changes.failed_cells))

@@ -57,14 +57,15 @@ class Compare(Request["CompareResult"]):
         from sysid_bench.commands.run_folder import open_run
         from sysid_bench.evaluation.intervals import at_level
         from sysid_bench.harness.comparison.run_difference import find_difference, metric_ratio
+        from sysid_bench.harness.comparison.run_values import with_ids_of
         from sysid_bench.input_files import is_file
 
         before, after = str(self.before), str(self.after)
         was, now = (_values(source, self.metrics) for source in (before, after))
-        if set(was.cells).isdisjoint(now.cells):
+        if set(with_ids_of(was, now).cells).isdisjoint(now.cells):
             raise UsageError(
                 f"{before!r} ({was.name!r}) and {after!r} ({now.name!r}) have no cell with "
-                "the same specification; compare runs of one suite."
+                "the same specification or labels; compare runs of one suite."
             )
         if set(was.metrics).isdisjoint(now.metrics):
             raise UsageError(

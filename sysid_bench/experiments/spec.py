@@ -50,16 +50,33 @@ class ExperimentSpec:
     redrawn: tuple[str, ...] = ()  # what each repeat draws anew: "motions", "plant"
     candidate: Mapping[str, Any] | None = None  # {step (s), integrator, friction}; None: defaults
     confidence: float | None = None  # level of intervals; None: 0.95
-    content: str | None = None  # hash of the robot's files, of which seeds are made; None: `robot`
+    content: str | None = None  # hash of the robot, of which seeds are made; None: `robot`
+    model: str | None = None  # hash of the robot's canonical model without payload
+    data: Mapping[str, str] | None = None  # hash of each recording and motion file, by its path
 
     @cached_property
     def id(self) -> str:
-        """12 hex digits: a hash of the specification alone."""
-        return canonical_hash(self.to_json())[:12]
+        """12 hex digits: a hash of the specification alone, with the content of files in place of
+        their paths."""
+        written = self.to_json()
+        written.pop("data", None)
+        if self.content is not None and self.model is not None:
+            del written["robot"]  # the path of a file, which can be written in many ways
+        return canonical_hash(self.by_content(written))[:12]
+
+    def by_content(self, value: Any) -> Any:
+        """Return a value of the specification with the hashes of `data` in place of their paths."""
+        if not self.data:
+            return value
+        if isinstance(value, Mapping):
+            return {key: self.by_content(inner) for key, inner in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [self.by_content(inner) for inner in value]
+        return self.data.get(value, value) if isinstance(value, str) else value
 
     @property
     def seeded_robot(self) -> str:
-        """What seeds depend on for the robot: its name, or the content of a file that was given by
+        """What seeds depend on for the robot: its name, or the model of a file that was given by
         its path, since a path can be written in many ways."""
         return self.robot if self.content is None else self.content
 
@@ -76,8 +93,9 @@ class ExperimentSpec:
         data = {field.name: getattr(self, field.name) for field in fields(self)}
         # Ids are older than these fields, which are left out at their defaults.
         later = {"redrawn": (), "motions": 1} | dict.fromkeys(
-            ("free_base", "sensor", "log", "pipeline", "candidate", "confidence", "content")
-        )
+            ("free_base", "sensor", "log", "pipeline", "candidate", "confidence", "content",
+             "model", "data")
+        )  # fmt: skip
         return {k: x for k, x in data.items() if k not in later or x != later[k]}
 
     @classmethod
@@ -276,7 +294,7 @@ def other_motion_seed(spec: ExperimentSpec, index: int) -> int:
 
 
 def _motion_parts(spec: ExperimentSpec, index: int) -> tuple[Any, ...]:
-    parts: tuple[Any, ...] = (spec.seeded_robot, spec.excitation)
+    parts: tuple[Any, ...] = (spec.seeded_robot, spec.by_content(spec.excitation))
     if index > 0:
         parts += ({"motion": index},)
     if MOTIONS in spec.redrawn:
@@ -286,14 +304,16 @@ def _motion_parts(spec: ExperimentSpec, index: int) -> tuple[Any, ...]:
 
 def held_out_seed(spec: ExperimentSpec, index: int) -> int:
     """Seed of the held-out motion number `index`: never the training motion, whatever they are."""
-    return seed_of(spec.seed, "held-out", spec.seeded_robot, spec.held_out[index], index)
+    motion = spec.by_content(spec.held_out[index])
+    return seed_of(spec.seed, "held-out", spec.seeded_robot, motion, index)
 
 
 def noise_seed(spec: ExperimentSpec) -> int:
     """Seed of the sensor noise: the same draw for every payload, level, estimator, prior and plant,
     so that their comparison is paired."""
     # Neither payload nor level: common random numbers reduce the variance of differences.
-    parts = (spec.seeded_robot, spec.task, spec.excitation, spec.simulation, spec.rate, spec.repeat)
+    motion = spec.by_content(spec.excitation)
+    parts = (spec.seeded_robot, spec.task, motion, spec.simulation, spec.rate, spec.repeat)
     return seed_of(spec.seed, "noise", *parts)
 
 

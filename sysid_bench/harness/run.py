@@ -37,6 +37,8 @@ from sysid_bench.harness.work.supervise import Ending, OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.harness.worker_names import worker_names
 from sysid_bench.input_files import is_folder
+from sysid_bench.models.behaviour_change import behaviour_changes
+from sysid_bench.models.model_record import model_record
 from sysid_bench.plugin_names import resolve_files
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
@@ -216,6 +218,7 @@ def _run_selected(
         # Read under the lock, which orphans of a killed run hold: nobody adds a row from here on.
         stored = folder.first_fields().rows
         todo = request.open_cells(selected, stored, fingerprint)
+        _check_models(folder, todo, robots_dir)
         rows = (
             PlannedRow(cell, fingerprint(cell), stored.get(cell.id, {}).get("losses") or 0)
             for cell in todo
@@ -238,6 +241,23 @@ def _run_selected(
         empty = f"Shard {request.shard} has no cell: other shards have them all."
         return replace(result, exit_code=0, notes=(*result.notes, empty))
     return result
+
+
+def _check_models(folder: RunFolder, todo: Iterable[Cell], robots_dir: Path | None) -> None:
+    """Raise UsageError for a robot that is another one than when the run was planned: the ids of
+    its cells, and so its rows, are of that one."""
+    robots = {cell.labels["robot"]: cell.spec for cell in todo}
+    for label, planned in folder.models.items():
+        if (spec := robots.get(label)) is None:
+            continue
+        now = model_record(spec.robot, robots_dir, folder.suite.folder, spec.free_base)
+        if now is not None and now["hash"] != planned["hash"]:
+            changes = behaviour_changes(label, planned["behaviour"], now["behaviour"])
+            what = f" ({changes[0].joint or 'robot'}: {changes[0].quantity})" if changes else ""
+            raise UsageError(
+                f"The robot {label!r} is another one than when {str(folder.path)!r} was "
+                f"planned{what}; run the suite into another folder (-o)."
+            )
 
 
 def _work(

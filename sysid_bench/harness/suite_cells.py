@@ -2,10 +2,12 @@
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from math import prod
+from pathlib import Path
 from typing import Any, Final
 
 from pydantic import BaseModel
@@ -34,7 +36,9 @@ from sysid_bench.harness.suite.log_entries import LogEntry
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.suite.plugin_entries import Pipeline
+from sysid_bench.models.data_sets import SCHEME
 from sysid_bench.models.payload import parse_payload
+from sysid_bench.package_folders import robots
 from sysid_bench.signals import pipeline_choice
 from sysid_bench.signals.log_description import name_of
 from sysid_bench.units import quantity
@@ -196,10 +200,16 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         text = _table_text(prior, "none")
         choices["prior"].append((normal_prior(prior), text, text))
     for entry, source in suite.robots:
-        name, base = names.robot(source, suite.folder).name, BASES[entry.free_base]
+        manifest, base = names.robot(source, suite.folder), BASES[entry.free_base]
+        # The stem of one's own file is no name: beside a robot that has it the path is the label.
+        is_stem = _is_path(names, suite, source) and getattr(manifest, "manifest_file", 1) is None
+        name = source if is_stem and manifest.name in robots() else manifest.name
         sensor = "" if entry.sensor is None else f" @ {entry.sensor}"
         key = _robot_key(source, entry.free_base, entry.sensor)
         choices["robot"].append((key, name + base, source + base + sensor))
+    # Two files of one name are two robots; a data set may have the robot of a name.
+    paths = {log.robot for log in suite.log if _is_path(names, suite, log.robot)}
+    choices["robot"] += [(one, names.robot(one, suite.folder).name, one) for one in sorted(paths)]
     return {axis: _unique_labels(texts) for axis, texts in choices.items()}
 
 
@@ -246,13 +256,14 @@ def _terms_label(spec: ExperimentSpec) -> str:
 
 def suite_cells(suite: Suite, names: Names) -> list[Cell]:
     """Return the cells of recordings, then those of simulated experiments."""
-    label = labels_of(suite, names)
+    label, identified = labels_of(suite, names), _identities(suite, names)
     methods = [(one.spec, label["estimator"][canonical(one.spec)]) for one in suite.estimator]
     cells: list[Cell] = []
 
     def add(spec: ExperimentSpec, texts: Mapping[str, str], facts: Mapping[str, Any]) -> None:
         """Add the cells of an experiment, one for each method."""
         shared = {axis: texts.get(axis, "") for axis in LABELS}
+        spec = replace(spec, **identified(spec))
         for estimator, name in methods:
             # Expected CPU seconds of a cell, with its share of the experiment.
             cost = cell_cost(spec, estimator)
@@ -261,7 +272,8 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
 
     for log in suite.log:
         for spec in _specs_of_log(log):
-            robot = names.robot(spec.robot, suite.folder).name
+            name = names.robot(spec.robot, suite.folder).name
+            robot = label["robot"].get(canonical(spec.robot), name)
             spec = replace(spec, confidence=_level(suite))
             add(spec, _log_labels(log, spec, robot), {})
     by_value = (
@@ -283,6 +295,49 @@ def suite_cells(suite: Suite, names: Names) -> list[Cell]:
         }
         add(spec, texts, facts)
     return cells
+
+
+def _is_path(names: Names, suite: Suite, robot: str) -> bool:
+    """True for a robot that is given by the path of its file."""
+    if robot.startswith(SCHEME):
+        return False
+    return getattr(names.robot(robot, suite.folder), "content", None) is not None
+
+
+def _identities(suite: Suite, names: Names) -> Callable[[ExperimentSpec], dict[str, Any]]:
+    """Return a function that gives the fields `content`, `model` and `data` of a specification:
+    what its names and paths lead to; each is looked up once."""
+    known: dict[str, Any] = {}
+
+    def looked_up(key: str, look: Callable[[], Any]) -> Any:
+        if key not in known:
+            known[key] = look()
+        return known[key]
+
+    def robot_of(spec: ExperimentSpec) -> dict[str, Any]:
+        # That of a data set is part of its content, which is known before it is fetched.
+        is_of_set = spec.robot.startswith(SCHEME)
+        record = None if is_of_set else names.model(spec.robot, suite.folder, spec.free_base)
+        if record is None:
+            return {}
+        by_path = _is_path(names, suite, spec.robot)
+        return {"model": record["hash"]} | ({"content": record["hash"]} if by_path else {})
+
+    def data_of(spec: ExperimentSpec) -> dict[str, str]:
+        found: dict[str, str] = {}
+        motions = [motion.get("file") for motion in (spec.excitation, *spec.held_out)]
+        logs = [] if spec.log is None else [*spec.log["train"], *spec.log["test"]]
+        for written in (*logs, *(file for file in motions if isinstance(file, str))):
+            look = partial(names.content, written, suite.folder or Path())
+            found |= looked_up(canonical(written), look)
+        return found
+
+    def fields(spec: ExperimentSpec) -> dict[str, Any]:
+        robot = partial(robot_of, spec)
+        found: dict[str, Any] = looked_up(canonical([spec.robot, spec.free_base]), robot)
+        return found | {"data": data_of(spec) or None}
+
+    return fields
 
 
 def _specs_of_log(entry: LogEntry) -> Iterator[ExperimentSpec]:

@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.canonical_json import canonical_hash
-from sysid_bench.errors import SysidBenchError
-from sysid_bench.input_files import parse_json, read_text
+from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.input_files import is_file, parse_json, read_text
+from sysid_bench.models.behaviour_change import behaviour_changes
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.sources import model_states
-from sysid_bench.package_folders import cache_folder
+from sysid_bench.package_folders import cache_folder, package_folder
 from sysid_bench.version_fields import PACKAGE_FOLDER, source_hash, version_fields
 
 ModelRecord = Mapping[str, Any]
@@ -43,6 +44,23 @@ def model_record(
         _keep(file, json.dumps(record))
         return record
     return None
+
+
+def check_name(manifest: Manifest) -> None:
+    """Raise UsageError for a robot.toml with the name of an installed robot that is another one:
+    rankings, baselines and sites know robots by their names."""
+    file = manifest.manifest_file
+    installed = package_folder("robots") / manifest.name / "robot.toml"
+    if file is None or not is_file(installed) or file.resolve() == installed.resolve():
+        return
+    own, known = (model_record(str(one), None, None) for one in (file, installed))
+    if own is not None and known is not None and own["hash"] != known["hash"]:
+        changes = behaviour_changes("", known["behaviour"], own["behaviour"])
+        what = f": {changes[0].joint or 'robot'}, {changes[0].quantity}" if changes else ""
+        raise UsageError(
+            f"{file} is called {manifest.name!r} as an installed robot, and is another one{what}; "
+            "give it another name."
+        )
 
 
 def _key(manifest: Manifest, free: bool) -> str:

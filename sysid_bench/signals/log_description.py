@@ -161,7 +161,7 @@ class LogDescription:
 def read_description(source: Path) -> LogDescription:
     """Return the description in a TOML file, or of a motion of a data set ("dataset:ur10/train");
     raises UsageError with all its mistakes."""
-    return description_of(*_read_keys(str(source), Path()))
+    return description_of(*read_keys(str(source), Path()))
 
 
 def log_description(
@@ -176,12 +176,12 @@ def log_description(
     if isinstance(written, LogDescription):
         return written
     if isinstance(written, str):
-        return description_of(*_read_keys(written, folder))
+        return description_of(*read_keys(written, folder))
     given = dict(written)
     given.pop("name", None)
     if "use" not in given:
         return description_of(given, folder / "[[log]]")
-    text, source = _read_keys(str(given.pop("use")), folder)
+    text, source = read_keys(str(given.pop("use")), folder)
     replaced = {key: _replaced(key, text.get(key), value) for key, value in given.items()}
     return description_of({**text, **replaced}, source)
 
@@ -214,7 +214,7 @@ def name_of(written: str | Mapping[str, Any]) -> str:
     return PurePath(str(first or written.get("use") or "log")).stem
 
 
-def _read_keys(written: str, folder: Path) -> tuple[dict[str, Any], Path]:
+def read_keys(written: str, folder: Path) -> tuple[dict[str, Any], Path]:
     """Return the keys of a description as written, and its file; raises UsageError for a missing
     one."""
     if written.startswith(SCHEME):

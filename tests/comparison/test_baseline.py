@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sysid_bench import words
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.comparison.baseline import (
     Baseline,
@@ -19,13 +20,23 @@ from sysid_bench.harness.comparison.baseline import (
 )
 from sysid_bench.harness.comparison.run_difference import RunDifference, find_difference
 from sysid_bench.harness.comparison.run_values import (
+    ALL_PARAMETERS,
     METRICS_COMPARED,
+    SETTING,
     CellValues,
+    Kind,
     RunValues,
     Tolerance,
+    part_times,
+    read_run,
+    settings_key,
     tolerance_of,
     verdict_of,
 )
+from sysid_bench.harness.comparison.speed import EXPERIMENT, KERNEL, Speed
+from sysid_bench.harness.plan import cells_of_suite
+from sysid_bench.harness.stored_run import RunFolder
+from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.metrics import METRICS
 
 NAMES = METRICS_COMPARED
@@ -335,3 +346,114 @@ def test_an_update_keeps_cells_that_have_not_run(run: RunValues) -> None:
     assert back.taken == 2  # it has run, and "other" is gone
     assert back.run.cells["first"].is_ok
     assert "other" not in back.run.cells
+
+
+# --- Files by hand, and what they must hold ------------------------------------------------------
+
+KEPT = RunValues(
+    name="s",
+    axes=("estimator",),
+    metrics={"torque_error": METRICS["torque_error"]},
+    cells={"a": CellValues("ur5", ("ols",), "ok", (0.25,))},
+    parameters={},
+    origin={"git": {"commit": "0123456789abcdef", "dirty": False}},
+    models={"ur5": {"": {"gravity": [0.0, 0.0, -9.81]}, "j": {"axis": [1.0], "gear": [50.0]}}},
+)
+
+
+def test_a_model_is_the_same_through_its_file() -> None:
+    assert through_file(KEPT).run.models == KEPT.models
+
+
+@pytest.mark.parametrize(
+    "model",
+    [{"j": {"axis": 3.0, "gear": [1.0]}}, {"j": {"axis": [1.0], "gear": "x"}}, {"j": [1.0]}, []],
+)
+def test_a_model_that_is_not_lists_of_values_is_refused(model: object) -> None:
+    values = json.loads(to_text(baseline_of(KEPT)))
+    values["robots"]["ur5"]["model"] = model
+    with pytest.raises(UsageError, match="not a baseline"):
+        from_text(json.dumps(values), "b.json")
+
+
+@pytest.mark.parametrize(
+    "written",
+    [{"ratio": 1.1, "floor": "x"}, {"ratio": "x", "floor": 0.1}, {"ratio": 1.1, "other": 2.0},
+     {"floor": 1.0}, {}, 3, {"ratio": 1.1, "absolute": 1.0}],
+)  # fmt: skip
+def test_a_damaged_tolerance_is_refused(written: object) -> None:
+    with pytest.raises(UsageError, match="is not a tolerance"):
+        Tolerance.from_json(written)
+
+
+@pytest.mark.parametrize(("kind", "size"), [("ratio", 0.99), ("absolute", -1e-9), ("exact", -1.0)])
+def test_a_tolerance_below_the_least_of_its_kind_is_refused(kind: Kind, size: float) -> None:
+    with pytest.raises(UsageError, match="is not a tolerance"):
+        Tolerance(kind, size)
+    assert Tolerance("absolute", 0.0).holds(1.0, 1.0)
+    assert Tolerance("absolute", 1e-6).size == 1e-6
+    assert Tolerance("exact").floor == 0.0
+    assert Tolerance("exact").to_json() == {"exact": 0.0}
+
+
+def test_a_commit_is_shown_with_twelve_digits() -> None:
+    later = replace(KEPT, origin={"git": {"commit": "f" * 40, "dirty": True}})
+    changed = ("commit", "0123456789ab", f"{'f' * 12} with changes")
+    assert compared(KEPT, later).origin == (changed,)
+
+
+@pytest.mark.parametrize(
+    ("errors", "end"), [((0.1, 0.2), ""), ((None, None), ""), ((0.1, None), ALL_PARAMETERS)]
+)
+def test_settings_of_all_parameters_are_apart(errors: tuple[float | None, ...], end: str) -> None:
+    cell = {"robot": "ur5", **dict.fromkeys(SETTING, "x")}
+    entries = [{"base_error": error} for error in errors]
+    assert settings_key(cell, entries) == ("ur5", "x x x x" + end)
+
+
+@pytest.mark.parametrize("kernel", [0.25, None])
+def test_times_of_older_rows_have_the_whole_alone(kernel: float | None) -> None:
+    row = {
+        "id": "a", "seconds_cpu": 0.5, "seconds_experiment_cpu": 1.0, "seconds_kernel_cpu": kernel,
+    }  # fmt: skip
+    head = {**dict.fromkeys(words.LABELS, "x"), "robot": "ur5", "experiment": "e"}
+    found = {part: groups for (_, part), groups in part_times([row], {"a": head}).items()}
+    whole = {EXPERIMENT: [[1.0]]} if kernel is None else {EXPERIMENT: [[0.75]], KERNEL: [[0.25]]}
+    assert found == {"x": [[0.5]], **whole}
+    missing = part_times([{**row, "seconds_experiment_cpu": None}], {"a": head})
+    assert {part for _, part in missing} == {"x"}
+
+
+def test_an_update_keeps_the_times_of_robots_that_stay_and_counts_those_that_go() -> None:
+    cells = {name: CellValues(name, ("ols",), "ok", (0.25,)) for name in ("a", "b")}
+    parts = {
+        "ols": Speed(1.0, 0.01, 9),
+        EXPERIMENT: Speed(2.0, 0.01, 9),
+        "wls": Speed(3.0, 0.01, 9),
+    }
+    speeds = {(robot, part): speed for robot in "ab" for part, speed in parts.items()}
+    before = replace(KEPT, cells=cells, models={}, speeds=speeds)
+    fewer = {key: speed for key, speed in speeds.items() if key != ("a", "wls")}
+    update = update_of(find_difference(before, replace(before, speeds=fewer)))
+    assert update.run.speeds == fewer
+    assert update.counts == {"times": 3}  # two of robot a, and one that is gone
+    assert update_of(find_difference(before, replace(before, speeds={}))).run.speeds == speeds
+
+
+def test_rows_of_a_run_are_read_for_the_metrics_asked_for(tmp_path: Path) -> None:
+    text = 'schema = 1\nname = "s"\n[[robot]]\nuse = "ur5"\n[[estimator]]\nuse = "ols"\n'
+    suite = parse_suite(text)
+    plan = cells_of_suite(suite)
+    folder = RunFolder.new(tmp_path / "run", suite, plan, {})
+    (cell,) = plan.cells
+    with folder.new_writer("w") as writer:
+        row = {**cell.first_fields, "status": "ok", "reason": "", "rank": 36, "torque_error": 0.25}
+        writer.write(row)
+    for names, metrics in (((), METRICS_COMPARED), (("torque_error",), ("torque_error",))):
+        found = read_run(folder, names)
+        assert tuple(found.metrics) == metrics
+        values = dict(zip(found.metrics, found.cells[cell.id].values, strict=True))
+        assert values["torque_error"] == 0.25
+    assert found.models.keys() == {"ur5"}
+    with pytest.raises(UsageError, match="torque_eror"):
+        read_run(folder, ("torque_eror",))

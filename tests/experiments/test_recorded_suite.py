@@ -1,5 +1,6 @@
 """Recordings as a suite: the same numbers as `identify --log`, one row per cell, always."""
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -163,7 +164,10 @@ def test_a_fingerprint_looks_at_the_recording(folder: Path, tmp_path: Path) -> N
         for name in ("other", "again", "loaded"):
             write(where, log, name=name)
     cells = plan(tmp_path / "a").cells
-    assert [cell.id for cell in cells] == [cell.id for cell in plan(tmp_path / "b").cells]
+    shutil.copytree(tmp_path / "a", tmp_path / "moved")
+    assert [cell.id for cell in cells] == [cell.id for cell in plan(tmp_path / "moved").cells]
+    # An id holds the content of the recordings: other torques are other cells.
+    assert cells[0].id not in {cell.id for cell in plan(tmp_path / "b").cells}
     assert prints(cells, tmp_path / "a").isdisjoint(prints(cells, tmp_path / "b"))
     changed = plan(tmp_path / "a", 'filter = "none"', 'filter = "average 5"').cells
     assert {cell.id for cell in cells}.isdisjoint(

@@ -56,6 +56,8 @@ CHANGES: dict[str, Any] = {
     "confidence": 0.9,
     "log": {"train": ["run.toml"]},
     "content": "0123456789ab",
+    "model": "0123456789abcdef",
+    "data": {"butter 4 20 Hz zero-phase": "0123456789abcdef"},
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
     motion_seed: {"seed", "robot", "content", "excitation", "redrawn"},

@@ -71,7 +71,8 @@ class RepeatShare:
 @dataclass(frozen=True, eq=False)
 class SiteRun:
     """Rows of a run. `methods`: the estimator behind each label, as JSON; `rankings`: its entries;
-    `sealed`: labels of plants whose sizes are secret; `notes` on rows of other code."""
+    `sealed`: labels of plants whose sizes are secret; `notes` on rows of other code; `models`: hash
+    of the canonical model of each robot."""
 
     name: str
     suite: Mapping[str, Any]
@@ -85,18 +86,20 @@ class SiteRun:
     notes: tuple[str, ...] = ()
     submission: Submission | None = None
     checked: RepeatShare | None = None
+    models: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def version(self) -> str:
-        """8 hex digits of what is measured: the suite without its methods and tables. Runs with the
-        same name and version may be compared."""
+        """8 hex digits of what is measured: the suite without its methods and tables, and the
+        content of its robots. Runs with the same name and version may be compared."""
         kept = {key: value for key, value in self.suite.items() if key not in _OF_ENTRANTS}
         limits = kept.get("run") or {}
         if kept.get("confidence") == LEVEL:  # versions are older than the key
             del kept["confidence"]
         # Limits of machines change no value; repeats do, and stay.
         kept["run"] = {key: value for key, value in limits.items() if key not in _OF_MACHINES}
-        return canonical_hash(kept)[:8]
+        # Runs of before state no model, and are of another version than those of now.
+        return canonical_hash([kept, dict(self.models)] if self.models else kept)[:8]
 
     @property
     def code_version(self) -> str:

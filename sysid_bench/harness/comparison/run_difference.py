@@ -23,6 +23,7 @@ from sysid_bench.harness.comparison.run_values import (
     Verdict,
     tolerance_of,
     verdict_of,
+    with_ids_of,
 )
 from sysid_bench.harness.comparison.speed import SpeedChange, compare_speed
 from sysid_bench.models.behaviour_change import BehaviourChange, behaviour_changes
@@ -134,6 +135,7 @@ def find_difference(
 
     `partial`: cells of `before` without a row in `after` do not count; a gate of some cells.
     """
+    before = with_ids_of(before, after)
     both = [cell for cell, was in before.cells.items() if not was.is_open and cell in after.cells]
     ran = [cell for cell in both if not after.cells[cell].is_open]
     # Speeds are undecided for robots that have not the same cells in both runs.
@@ -205,7 +207,7 @@ def moved_values(
 ) -> tuple[Change, ...]:
     """Return the values that are another number, whatever their tolerance: what changes in the last
     digits while code and libraries are the same. Below the floor of its tolerance a value is 0."""
-    known = _tolerances(before, after, tolerances)
+    before, known = with_ids_of(before, after), _tolerances(before, after, tolerances)
     moved = []
     for cell, name in product(before.cells.keys() & after.cells.keys(), known):
         old, new = _places(name, before, after)
@@ -286,6 +288,7 @@ class MetricRatio:
 def metric_ratio(before: RunValues, after: RunValues) -> tuple[MetricRatio, ...]:
     """Ratios of the metrics of both runs that are compared by a factor, over the cells that are ok
     in both."""
+    before = with_ids_of(before, after)
     is_ok = {name for name, cell in after.cells.items() if cell.is_ok}
     cells = [name for name, cell in before.cells.items() if cell.is_ok and name in is_ok]
     ratios = []

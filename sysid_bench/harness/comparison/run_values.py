@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import compress
 from operator import itemgetter
 from types import MappingProxyType
@@ -31,6 +31,7 @@ ALL_PARAMETERS: Final = " all parameters"
 """End of a setting whose methods return all parameters, none the base ones alone."""
 _AXES: Final = (*(axis for axis in LABELS if axis != "robot"), "repeat")
 _OPEN: Final = "open"
+_SEPARATOR: Final = " | "
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class RunValues:
     `parameters`: true base parameters in SI units, (robot, setting) -> parameter -> value.
     `origin`: what env.json says of code, libraries and machine. `speeds`: ratios of times within
     the run, where they were asked for. `models`: behaviour of each robot, where it is known.
+    `heads`: all labels of each cell of a run; a baseline has those of its axes alone.
     """
 
     name: str
@@ -72,6 +74,23 @@ class RunValues:
     origin: Mapping[str, Any]
     speeds: Mapping[Key, Speed] = field(default_factory=dict)
     models: Mapping[str, Behaviour] = field(default_factory=dict)
+    heads: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def by_labels(self, axes: Sequence[str]) -> dict[str, str]:
+        """Cells by their robot and labels on some axes; without those that share them."""
+        found: dict[str, list[str]] = {}
+        for name, cell in self.cells.items():
+            labels = cell.labels
+            if name in self.heads:
+                labels = tuple(str(self.heads[name][axis]) for axis in axes)
+            # Joined: a label may hold what separates them in a baseline.
+            found.setdefault(_SEPARATOR.join((cell.robot, *labels)), []).append(name)
+        return {labels: names[0] for labels, names in found.items() if len(names) == 1}
+
+    def has_cell(self, first: Mapping[str, Any]) -> bool:
+        """True for the first fields of a cell whose id or labels are here."""
+        labels = (first["robot"], *(str(first[axis]) for axis in self.axes))
+        return first["id"] in self.cells or _SEPARATOR.join(labels) in self.by_labels(self.axes)
 
     def cell_labels(self, robot: str) -> set[tuple[str, ...]]:
         """Labels but the repeat of the ok cells of a robot: groups that its speeds are of."""
@@ -83,6 +102,25 @@ class RunValues:
         """Labels of a cell as "ur5 none ols 0"."""
         cell = self.cells[identifier]
         return " ".join((cell.robot, *cell.labels))
+
+
+def with_ids_of(before: RunValues, after: RunValues) -> RunValues:
+    """Return the values of before with the ids that cells of the same labels have after: an id
+    changes with the model, a label says which cell is meant. Equal ids are equal cells."""
+    same = before.cells.keys() & after.cells.keys()
+    later = after.by_labels(before.axes)
+    new = {
+        cell: later[labels]
+        for labels, cell in before.by_labels(before.axes).items()
+        if cell not in same and later.get(labels, cell) not in same and labels in later
+    }
+    if before.name != after.name or not new:  # labels of two suites mean different cells
+        return before
+    return replace(
+        before,
+        cells={new.get(name, name): one for name, one in before.cells.items()},
+        heads={new.get(name, name): one for name, one in before.heads.items()},
+    )
 
 
 def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = False) -> RunValues:
@@ -114,6 +152,7 @@ def read_run(folder: RunFolder, names: Sequence[str] = (), *, times: bool = Fals
         origin=folder.environment,
         speeds=_speeds(folder, planned) if times else {},
         models={robot: record["behaviour"] for robot, record in folder.models.items()},
+        heads=planned,
     )
 
 

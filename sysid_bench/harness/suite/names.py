@@ -17,7 +17,7 @@ from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.input_files import read_data
 from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.models.model_record import ModelRecord, model_record
+from sysid_bench.models.model_record import ModelRecord, check_name, model_record
 from sysid_bench.models.payload import Payload, parse_payload
 
 if TYPE_CHECKING:
@@ -47,7 +47,8 @@ class Names:
     `robot(source, folder)`, `payload(name or table)`, `plugin(kind, {use, settings})`, which builds
     the object and so checks its settings (a metric is returned, or its record), `sensor(source,
     folder, text)`, which cuts the robot at each of the named sensors, `task(name, folder)`, and
-    `model(source, folder, free_base)`: hash and behaviour of a robot that is here.
+    `model(source, folder, free_base)`: hash and behaviour of a robot that is here, and
+    `content(text or table, folder)`: hashes of the files of a motion or a log, by their paths.
     """
 
     robot: Callable[[str, Path | None], Manifest | CheckedName]
@@ -58,6 +59,7 @@ class Names:
     model: Callable[[str, Path | None, bool | None], ModelRecord | None] = (
         lambda source, folder, free_base: None
     )
+    content: Callable[[str | Mapping[str, Any], Path], Mapping[str, str]] = lambda text, folder: {}
     frozen: bool = False  # nothing is looked up: the suite was checked before
 
 
@@ -67,7 +69,9 @@ def default_names(robots_dir: Path | None = None) -> Names:
     def robot(source: str, folder: Path | None) -> Manifest | CheckedName:
         if source.startswith(SCHEME):  # of a set that need not be here yet
             return CheckedName(find_dataset(source.removeprefix(SCHEME), folder).described.name)
-        return find_manifest(source, robots_dir, folder)
+        manifest = find_manifest(source, robots_dir, folder)
+        check_name(manifest)
+        return manifest
 
     def sensor(source: str, folder: Path | None, text: str) -> object:
         from sysid_bench.models.load import load_robot  # loads MuJoCo
@@ -83,7 +87,12 @@ def default_names(robots_dir: Path | None = None) -> Names:
     def model(source: str, folder: Path | None, free_base: bool | None) -> ModelRecord | None:
         return model_record(source, robots_dir, folder, free_base)
 
-    return Names(robot, parse_payload, plugin_names.build, sensor, model=model)
+    def content(written: str | Mapping[str, Any], folder: Path) -> Mapping[str, str]:
+        from sysid_bench.signals.log_content import content_of  # loads SciPy
+
+        return content_of(written, folder)
+
+    return Names(robot, parse_payload, plugin_names.build, sensor, model=model, content=content)
 
 
 def no_names() -> Names:

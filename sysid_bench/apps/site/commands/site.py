@@ -257,6 +257,7 @@ def _site_run(run: "RunFolder", name: str) -> "SiteRun":
         methods={c.labels["estimator"]: canonical(c.estimator) for c in plan},
         metrics=run.suite.metrics,
         sealed=tuple(sorted(sealed)),
+        models={robot: str(record["hash"]) for robot, record in run.models.items()},
     )
 
 
