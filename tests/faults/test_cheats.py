@@ -2,6 +2,7 @@
 
 import json
 import socket
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -106,6 +107,24 @@ def test_without_namespaces_cheats_reach_files_and_the_network(
     reached = {name for name in names if found[name]["stats"]["reached"]}
     assert reached == set(OF_FILES)
     assert {found[name]["isolation"] for name in names} == {"process"}
+
+
+def test_a_system_that_refuses_a_part_of_the_namespaces(tmp_path: Path) -> None:
+    """Its methods run without, and can start programs as before."""
+    code = f"""if True:
+        import subprocess
+        from sysid_bench.harness.work import confinement
+
+        def refuse(*_):
+            raise OSError(1, "mount")
+
+        confinement._mount = refuse
+        print(confinement.confine({str(tmp_path)!r}, ["/etc"]))
+        for _ in range(2):
+            print(subprocess.run(["echo", "started"], capture_output=True, text=True).stdout)
+        """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["process", "started", "started"]
 
 
 def test_in_the_process_of_the_truth_cheats_reach_it(tmp_path: Path) -> None:

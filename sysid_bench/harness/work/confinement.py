@@ -12,7 +12,7 @@ import ctypes
 import os
 import signal
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final, NoReturn
 
@@ -45,7 +45,9 @@ def confine(folder: str, hidden: Iterable[str], wanted: str = NAMESPACES) -> str
     kill_with(os.getppid())
     libc = ctypes.CDLL(None, use_errno=True)
     isolation = PROCESS
-    if wanted == NAMESPACES and _enter_namespaces(libc, folder, hidden):
+    paths = tuple(filter(os.path.exists, hidden))
+    if wanted == NAMESPACES and _can_enter(libc, folder, paths):
+        _enter_namespaces(libc, folder, paths)
         _fork_inside(libc)
         isolation = NAMESPACES
     _drop_capabilities(libc)
@@ -60,19 +62,32 @@ def hide_memory(hidden: bool) -> None:
             ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0 if hidden else 1)
 
 
-def _enter_namespaces(libc: ctypes.CDLL, folder: str, hidden: Iterable[str]) -> bool:
-    """Enter namespaces of users, mounts, processes (for children), network and messages; return
-    False where the system refuses."""
+def _can_enter(libc: ctypes.CDLL, folder: str, hidden: Sequence[str]) -> bool:
+    """True where the system allows all of `_enter_namespaces`."""
+    # In a fork: some systems give a namespace without its privileges, and there is no way back.
+    trial = os.fork()
+    if trial == 0:
+        try:
+            _enter_namespaces(libc, folder, hidden)
+        except BaseException:
+            os._exit(1)
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(trial, 0)[1]) == 0
+
+
+def _enter_namespaces(libc: ctypes.CDLL, folder: str, hidden: Sequence[str]) -> None:
+    """Enter namespaces of users, mounts, processes (for children), network and messages; raise
+    OSError where the system refuses."""
     user, group = os.getuid(), os.getgid()
     kinds = _NEW_USER | _NEW_MOUNTS | _NEW_PROCESSES | _NEW_NETWORK | _NEW_IPC
     if libc.unshare(kinds) != 0:
-        return False
+        raise OSError(ctypes.get_errno(), "unshare")
     # Files belong to the same user and group as before.
     Path("/proc/self/setgroups").write_text("deny")
     Path("/proc/self/uid_map").write_text(f"{user} {user} 1")
     Path("/proc/self/gid_map").write_text(f"{group} {group} 1")
     _mount(libc, None, "/", None, _RECURSIVE | _PRIVATE)
-    for path in filter(os.path.exists, hidden):
+    for path in hidden:
         if os.path.isdir(path):
             _mount(libc, "none", path, "tmpfs", _NO_DEVICES_OR_PROGRAMS)
         else:
@@ -81,7 +96,6 @@ def _enter_namespaces(libc: ctypes.CDLL, folder: str, hidden: Iterable[str]) -> 
     _set_read_only(libc, "/", read_only=True)
     _set_read_only(libc, folder, read_only=False)
     os.chdir(folder)  # that of the new mount
-    return True
 
 
 def _set_read_only(libc: ctypes.CDLL, path: str, *, read_only: bool) -> None:
