@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.errors import UsageError
+
 LARGEST: Final = 64 * 2**20
 """Bytes of a text that people write; a larger one is a mistake."""
 
@@ -66,6 +68,20 @@ def read_data(path: Path, largest: int = LARGEST) -> bytes:
     if len(content) > largest:
         raise OSError(_size_text(path, len(content), largest))
     return content
+
+
+def check_replaceable(file: Path, starts: tuple[str, ...], what: str) -> None:
+    """Raise UsageError for a file that an output would replace and that is none of its kind, which
+    begins with one of `starts`; `what`: that kind in words."""
+    if not is_file(file):
+        return
+    with file.open("rb") as opened:
+        start = opened.read(max(map(len, starts)))
+    if start and not start.startswith(tuple(text.encode() for text in starts)):
+        raise UsageError(
+            f"{str(file)!r} exists and is not {what}: it would be lost. Name another file, or "
+            "remove it."
+        )
 
 
 def file_hash(path: Path) -> str:

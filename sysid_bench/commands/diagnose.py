@@ -132,7 +132,9 @@ class DiagnoseResult(Result):
 
     `ok`: no contradiction but accepted ones. `logs`: samples, rate and the residual of each joint
     after the fit near the model, relative to its RMS torque. `findings`: log, name, severity,
-    message, joints, explains, confidence, blind, edit.
+    message, joints, explains, confidence, blind, edit; `alternatives` of a contradiction: all
+    explanations of it, the best first, each with name, joints, estimate, interval, explains,
+    evidence, message, edit, text.
     """
 
     model: str
@@ -169,6 +171,9 @@ class DiagnoseResult(Result):
             )
             if finding["edit"]:
                 lines.append(f"      cure: {finding['edit']}")
+            rivals = [one["text"] for one in finding["alternatives"][1:]]
+            if rivals:
+                lines.append(f"      other explanations: {'; '.join(rivals)}")
             if finding["blind"] and finding["severity"] == ERROR:
                 lines.append(f"      blind for: {finding['blind']}")
         return lines

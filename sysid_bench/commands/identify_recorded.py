@@ -24,7 +24,7 @@ from sysid_bench.commands.identify_result import (
     warnings_of,
 )
 from sysid_bench.commands.result import file_text, interval_text, value_text
-from sysid_bench.commands.write_model import check_files, check_output_files
+from sysid_bench.commands.write_model import DEVIATIONS, check_files, check_output_files
 from sysid_bench.errors import SHOWN, EstimationError, ModelError, UnsupportedError, WriteError
 from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
 from sysid_bench.evaluation.intervals import confidence_level, level_text
@@ -50,8 +50,6 @@ ESTIMATOR: Final = "wls-guarded"
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 """In place of the plant, excitation and simulation of a simulated experiment."""
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
-DEVIATIONS: Final = 3.0
-"""Standard deviations below zero from which a friction coefficient counts as negative."""
 RIGID: Final = (
     "a rigid load; friction, offsets and gains of the joints are the same with and without it"
 )
@@ -105,8 +103,9 @@ class RecordedResult(IdentifyResult):
                 f"{before:.1f} -> {after:.1f} %)"
             )
         lines += [*self._error_lines(), *self._baseline_lines()]
-        lines += [joint_line(name, terms) for name, terms in self.joints.items()]
-        lines += [*base_lines(self.base), *std_lines(self.std_from, self.std_limit)]
+        lines += [joint_line(name, terms) for name, terms in self._of_level(self.joints).items()]
+        base = self._of_level(dict(enumerate(self.base))).values()
+        lines += [*base_lines([*base]), *std_lines(self.std_from, self.std_limit, self.reach)]
         lines += _constraint_lines(self.constraints) if self.constraints else ()
         lines += _written_lines(self.written) if self.written else ()
         return "\n".join(lines + self._closing_lines())

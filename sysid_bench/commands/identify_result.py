@@ -20,6 +20,7 @@ from sysid_bench.evaluation.baselines import (
 )
 from sysid_bench.evaluation.covariance import block_errors, motion_fit, standard_errors
 from sysid_bench.evaluation.feasible_body import FeasibleBody
+from sysid_bench.evaluation.intervals import coverage_factor, is_stated, level_text
 from sysid_bench.evaluation.open_directions import OpenDirections, open_directions
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.identifiability.base_expressions import (
@@ -29,6 +30,7 @@ from sysid_bench.identifiability.base_expressions import (
 )
 from sysid_bench.identifiability.base_map import left_out_torque
 from sysid_bench.identification.estimators.bayesian import GuardedWLS
+from sysid_bench.identification.feasibility.lmi_fit import binding_constraints
 from sysid_bench.identification.identify import fit_fields
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.models.robot import SUFFIX
@@ -71,10 +73,12 @@ class IdentifyResult(Result):
     centre of mass (Ixx Ixy Ixz Iyy Iyz Izz, kg m^2), parameters, identifiable, std}; a value is
     None unless it is identifiable. `joints`: {joint: {term: value, identifiable, std}}. `base`:
     base parameters with one standard deviation. `std_limit`: what these deviations hold, and which
-    bias they do not know of. `open_directions`: number of directions of the base parameters that
-    the motion leaves open; `prior_weight`: that of the prior in `wls-guarded`, 0 for least squares;
-    `failure`: why the answer fails its test (`beaten_by`: baselines that err less). Sentences on
-    these are the first of `warnings`. `written`: model files, read again and judged.
+    bias they do not know of. `reach`: where a confidence level is stated, half of the length of its
+    intervals in standard deviations, which the text then has. `open_directions`: number of
+    directions of the base parameters that the motion leaves open; `prior_weight`: that of the
+    prior in `wls-guarded`, 0 for least squares; `failure`: why the answer fails its test
+    (`beaten_by`: baselines that err less). Sentences on these are the first of `warnings`.
+    `written`: model files, read again and judged.
     """
 
     model: str
@@ -87,6 +91,7 @@ class IdentifyResult(Result):
     from_file: bool = field(default=True, metadata=HIDDEN)  # the null model, else a prior
     std_from: str | None
     std_limit: str | None
+    reach: float | None = field(default=None, metadata=OMIT_NONE)
     joints: dict[str, dict[str, Any]]
     base: list[dict[str, Any]] = field(default_factory=list)
     bodies: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -120,6 +125,17 @@ class IdentifyResult(Result):
         is_drawn = bool(self.open_directions or self.prior_weight)
         return is_drawn + bool(self.failure or self.scores.get("beaten_by"))
 
+    def _of_level(self, entries: Mapping[Any, Any]) -> dict[Any, Any]:
+        """Entries of the text: deviations as half of the length of intervals of a stated level."""
+        reach = self.reach or 1.0
+
+        def scaled(value: Any) -> Any:
+            if isinstance(value, Mapping):
+                return {k: _times(x, reach) if k == "std" else scaled(x) for k, x in value.items()}
+            return value
+
+        return {name: scaled(entry) for name, entry in entries.items()}
+
     def _opening_lines(self) -> list[str]:
         """Warnings without which the answer is misread."""
         return [f"warning: {warning}" for warning in self.warnings[: self._urgent]]
@@ -145,6 +161,13 @@ class IdentifyResult(Result):
         # A model that was read again and judged has lines of its own.
         files = {"figure": self.figure, "model": None if self.written else self.model_out}
         return lines + [f"  {name}: {file}" for name, file in files.items() if file]
+
+
+def _times(std: Any, factor: float) -> Any:
+    """A deviation, or those of a body by parameter, times a factor."""
+    if isinstance(std, Mapping):
+        return {key: _times(value, factor) for key, value in std.items()}
+    return None if std is None else factor * std
 
 
 # --- Fields -------------------------------------------------------------------------------------
@@ -279,16 +302,23 @@ def _estimate_fields(estimate: Estimate, problem: Problem, method: Any) -> dict[
     std[problem.base.pivots] = deviations
     std[verdict != "identifiable"] = np.nan
     assert estimate.beta is not None
+    bound: frozenset[str] = frozenset()
+    if estimate.theta is not None and "roundness" in estimate.stats:  # a feasible fit
+        bound = frozenset(binding_constraints(problem, estimate.theta))
     return {
         "std_from": std_from,
         "std_limit": limit,
+        "reach": None
+        if std_from is None or not is_stated()
+        else coverage_factor(errors[std_from].freedom),
         "base": [
             {"expression": expression(terms), "terms": terms, "value": float(beta), "std": float(s)}
+            | ({"at_bound": True} if len(terms) == 1 and bound & terms.keys() else {})
             for terms, beta, s in zip(
                 base_expressions(problem.base), estimate.beta, deviations, strict=True
             )
         ],
-        **_values(problem, values_of(estimate, problem), verdict, std),
+        **_values(problem, values_of(estimate, problem), verdict, std, bound),
     }
 
 
@@ -301,8 +331,11 @@ def values_of(estimate: Estimate, problem: Problem) -> Array:
     return np.asarray(np.where(is_known, problem.base.embed(estimate.beta), np.nan))
 
 
-def _values(problem: Problem, theta: Array, verdict: Array, std: Array) -> dict[str, Any]:
-    """Bodies and joint terms by name from theta, verdicts and deviations (p,)."""
+def _values(
+    problem: Problem, theta: Array, verdict: Array, std: Array, bound: frozenset[str]
+) -> dict[str, Any]:
+    """Bodies and joint terms by name from theta, verdicts and deviations (p,); `bound`: terms that
+    a constraint holds at zero."""
     index = {name: j for j, name in enumerate(problem.parameters)}
     bodies: dict[str, dict[str, Any]] = {}
     for body in problem.bodies:
@@ -321,7 +354,7 @@ def _values(problem: Problem, theta: Array, verdict: Array, std: Array) -> dict[
             joint, _, other = name.partition(".fv.")
             term = f"viscous_coupling.{other}"
         entry = {"value": float(theta[j]), "identifiable": str(verdict[j]), "std": float(std[j])}
-        joints.setdefault(joint, {})[term] = entry
+        joints.setdefault(joint, {})[term] = entry | ({"at_bound": True} if name in bound else {})
     return {"bodies": bodies, "joints": joints}
 
 
@@ -468,6 +501,8 @@ def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _number(entry: Mapping[str, Any]) -> str:
     """Value and deviation, with their ratio " (4.1 %)" where both are known and not zero."""
+    if entry.get("at_bound"):
+        return "0 (bound)"
     value, std = entry["value"], entry["std"]
     share = 100 * abs(std / value) if value and std else None
     ratio = "" if share is None else f" ({share:.2g} %)" if share < 100 else " (> 100 %)"
@@ -483,10 +518,13 @@ def _sum_text(entry: Mapping[str, Any]) -> str:
     return f"{expression(first)} and {count_text(more, 'more term')}"
 
 
-def std_lines(std_from: str | None, std_limit: str | None) -> Iterator[str]:
+def std_lines(
+    std_from: str | None, std_limit: str | None, reach: float | None = None
+) -> Iterator[str]:
     """Meaning of ±, and what it does not hold; none without standard deviations."""
     if std_from is not None:
-        yield f"  ±: one standard deviation, {STD_FROM[std_from]}"
+        size = "one standard deviation" if reach is None else f"{level_text()} interval"
+        yield f"  ±: {size}, {STD_FROM[std_from]}"
         yield f"     {std_limit}"
     elif std_limit:
         yield f"  {std_limit}"

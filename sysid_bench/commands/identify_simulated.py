@@ -32,7 +32,7 @@ from sysid_bench.commands.write_model import (
     format_of,
     write_model,
 )
-from sysid_bench.errors import ModelError, WriteError
+from sysid_bench.errors import ModelError, WriteError, first_names
 from sysid_bench.evaluation.feasible_body import feasible_body
 from sysid_bench.evaluation.second_engine import WITHOUT
 from sysid_bench.experiments.experiment_data import ExperimentData
@@ -47,6 +47,7 @@ from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
+from sysid_bench.models.robot import SUFFIX
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
 from sysid_bench.types import Array, Estimate
@@ -85,8 +86,9 @@ class SimulatedResult(IdentifyResult):
             lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
         if self.sensor is not None:
             lines += _sensor_lines(self.sensor)
-        bodies, joints, base = self.bodies, self.joints, self.base
-        meaning = list(std_lines(self.std_from, self.std_limit))
+        bodies, joints = self._of_level(self.bodies), self._of_level(self.joints)
+        base = list(self._of_level(dict(enumerate(self.base))).values())
+        meaning = list(std_lines(self.std_from, self.std_limit, self.reach))
         if self.exact is not None:
             smallest = self.exact * max(abs(entry["value"]) for entry in base)
             bodies = {name: _exact_body(body, smallest) for name, body in bodies.items()}
@@ -153,17 +155,30 @@ def identify_simulated(request: Identify) -> SimulatedResult:
     result = _result(request, spec, loaded, prepared, estimate)
     if model_out is not None:
         whole = request.complete is not None
+        std = {
+            f"{joint}.{SUFFIX[term]}": entry["std"]
+            for joint, terms in result.joints.items()
+            for term, entry in terms.items()
+            if term in SUFFIX
+        }
         try:
-            write_model(robot, request.task, estimate, prepared.problem, model_out, whole)
+            bound = write_model(
+                robot, request.task, estimate, prepared.problem, model_out, whole=whole, std=std
+            )
         except ModelError as error:
             raise WriteError(str(error), replace(result, model_out=None)) from error
-    if beside is None:
-        return result
-    note = (
-        f"{model_out} has bodies, joints and friction, without shapes and actuators; what its "
-        f"format has no place for stands in {beside}, which is the file to load"
-    )
-    return replace(result, warnings=[*result.warnings, note])
+    notes = []
+    if model_out is not None and bound:
+        notes.append(
+            f"{model_out} has {first_names(bound)} as 0, the bound of friction and rotor inertia: "
+            "within their deviations they are not negative"
+        )
+    if beside is not None:
+        notes.append(
+            f"{model_out} has bodies, joints and friction, without shapes and actuators; what its "
+            f"format has no place for stands in {beside}, which is the file to load"
+        )
+    return replace(result, warnings=[*result.warnings, *notes]) if notes else result
 
 
 def _estimator(request: Identify) -> str:

@@ -7,7 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.commands.write_model import KEYS, format_of, write_text, write_values
+from sysid_bench.commands.write_model import (
+    KEYS,
+    PASSIVE,
+    format_of,
+    write_text,
+    write_values,
+)
 from sysid_bench.errors import EstimationError, ModelError, first_names
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.evaluation.score import feasible_figures, joint_errors
@@ -23,10 +29,6 @@ from sysid_bench.models.manifest import JointTerms, find_manifest
 from sysid_bench.models.robot import TERM_OF, RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
 from sysid_bench.types import Array, Estimate, Problem
-
-PASSIVE: Final = ("viscous", "coulomb", "armature")
-"""Joint terms that must not be negative. A URDF holds the first two, an MJCF springs as well, the
-manifest all."""
 
 ENTROPIC: Final = "entropic"
 """Distance in which bodies are completed where none is asked for."""

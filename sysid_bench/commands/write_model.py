@@ -12,7 +12,7 @@ from sysid_bench.commands.identify_result import values_of
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identifiability.base_expressions import parameter_verdict
-from sysid_bench.input_files import is_file, is_folder
+from sysid_bench.input_files import check_replaceable, is_file, is_folder
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import update_mjcf
@@ -25,6 +25,17 @@ from sysid_bench.types import Array, Estimate, Problem
 SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
 KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
 """Names of joint terms in URDF and MJCF files, where they differ from ours."""
+
+
+PASSIVE: Final = ("viscous", "coulomb", "armature")
+"""Joint terms that must not be negative. A URDF holds the first two, an MJCF springs as well, the
+manifest all."""
+
+DEVIATIONS: Final = 3.0
+"""Standard deviations below zero from which a joint term counts as negative."""
+
+ROUNDING: Final = 1e-9
+"""N m, kg m^2 and the like: smaller ones are errors of rounding."""
 
 
 def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path | None) -> None:
@@ -62,8 +73,9 @@ def _check_target(target: Path, sources: Sequence[Path | None]) -> None:
 def check_output_files(
     written: Sequence[Path | None], manifest: Path | None, logs: Sequence[LogDescription]
 ) -> None:
-    """Raise UsageError, before anything runs, where a file to be `written` is one of those that
-    `logs` read, or where the `manifest` beside a model would replace a file of another kind."""
+    """Raise UsageError, before anything runs, where a file to be `written` (model, JSON, figure) is
+    one of those that `logs` read, where the JSON would replace a file that is not a result, or
+    where the `manifest` beside a model would replace a file of another kind."""
     read = [file for log in logs for file in (log.source, *log.files)]
     for target in (*written, manifest):
         if target is None or not is_file(target):
@@ -79,6 +91,9 @@ def check_output_files(
                 f"{str(target)!r} is not a robot's manifest, and would be overwritten{beside}; "
                 "name another file."
             )
+    answer = written[1] if len(written) > 1 else None
+    if answer is not None:
+        check_replaceable(answer, ('{\n  "model"',), "a result of identify")
 
 
 def _is_manifest(file: Path) -> bool:
@@ -102,9 +117,13 @@ def write_model(
     problem: Problem,
     target: Path,
     whole: bool = False,
-) -> None:
+    std: Mapping[str, float | None] | None = None,
+) -> list[str]:
     """Write the model with the estimate's values; raise ModelError for what must not be written.
     `whole`: the bodies were completed, so parameters count that are not identifiable alone.
+
+    Friction and rotor inertia that are negative within their deviations `std` are written as zero,
+    their bound; they are returned in words.
 
     Bodies welded to a link that was identified as a whole keep their values; the link gets the
     rest.
@@ -124,16 +143,22 @@ def write_model(
         bodies = {name: phi - _welded(robot, name) for name, phi in bodies.items()}
     term_of = {suffix: term for term, suffix in SUFFIX.items()}
     joints: dict[str, dict[str, float]] = {}
+    at_bound = []
     # What remains behind a sensor are its constants (offsets, gains), which no model file holds.
     for name, value in {} if definition.measures_sensor_only else theta.items():
         joint, _, suffix = name.rpartition(".")
         term = term_of[suffix]
+        reach = DEVIATIONS * ((std or {}).get(name) or 0.0)
+        if term in PASSIVE and -max(reach, ROUNDING) <= value < 0:
+            at_bound += [f"{name} {value:.3g} ± {reach / DEVIATIONS:.2g}"] if reach else []
+            value = 0.0
         joints.setdefault(joint, {})[KEYS.get(term, term)] = value
     described = write_values(robot, bodies, joints, verdict_of, target)
     if described is not None:
         from sysid_bench.models.writing.manifest_writer import manifest_text  # loads tomlkit
 
         write_text(target.with_suffix(".toml"), manifest_text(described, target.name))
+    return at_bound
 
 
 def _welded(robot: RobotModel, name: str) -> Array:

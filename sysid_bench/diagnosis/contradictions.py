@@ -1,11 +1,14 @@
 """Contradictions between a recording and its robot: the candidates of all checks compete.
 
-A mistake leaves a residual that other candidates remove in part as well; the one that removes most
-is named first.
+A mistake leaves a residual that other candidates remove in part as well; the one with the largest
+evidence is named first, and every kind of explanation that gains anything stands in its table.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Final
+
+import numpy as np
 
 from sysid_bench.diagnosis import motion_candidates as of_motion
 from sysid_bench.diagnosis import torque_candidates as of_torque
@@ -13,9 +16,15 @@ from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
 from sysid_bench.diagnosis.gain_candidates import joint_gains
 from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis, first_hypothesis
-from sysid_bench.diagnosis.model_candidates import gravity_direction, other_robot
+from sysid_bench.diagnosis.model_candidates import (
+    LINK,
+    gravity_direction,
+    link_inertia,
+    other_robot,
+)
 
-SEARCHES: Final[Sequence[Callable[[Hypothesis], Iterator[Candidate]]]] = (
+Search = Callable[[Hypothesis], Iterator[Candidate]]
+SEARCHES: Final[Sequence[Search]] = (
     of_motion.sampling_rate, of_torque.torque_direction, of_torque.torque_columns,
     of_torque.tool_load, of_torque.torque_gain, joint_gains, gravity_direction,
     of_motion.encoder_offset,
@@ -27,28 +36,27 @@ OF_JOINTS: Final = SEARCHES[-3:]
 ROUGH: Final = 0.06
 """Cost below which no joint moves the wrong way, in the place of another or in other units."""
 
-GATE: Final = 0.002
-"""Cost below which nothing is left to explain: two per cent of the torque on each of six joints."""
-
-LITTLE: Final = 0.03
-CLEAR: Final = 0.6
-"""Cost below which a candidate has to remove this share of it, or noise would be explained."""
-
-SURE: Final = 0.35
-DOUBTFUL: Final = 0.2
-"""Shares of the cost that a candidate has to remove, for an error and for a warning."""
+SURE: Final = 6.0
+DOUBTFUL: Final = 3.0
+"""Evidence of an error and of a warning: odds of 20 to 1 and of 4 to 1."""
 
 LARGE: Final = 0.03
-NOTICED: Final = 0.01
-"""Costs that an error, and a warning on joints that explain little of the cost, have to remove."""
+"""Cost that an error has to remove: less costs little accuracy, however certain it is."""
 
-EQUAL: Final = 0.02
-"""Difference of the shares of two candidates that recordings do not decide."""
+LEAST: Final = 0.1
+NOTICED: Final = 0.01
+"""A candidate removes this share of the cost, or a cost of a tenth of one joint's torque: what is
+left may be other mistakes, but one that explains next to nothing is none."""
+
+EQUAL: Final = 0.9
+"""Share of what the best explanation gains, or explains, from which another one is as likely."""
 
 EXPLAINED: Final = 0.75
 FOREIGN: Final = 0.15
+FITTING: Final = 0.35
 """Explained share and cost: the library is not searched for another robot where a candidate
-explains more, or where the cost is lower."""
+explains more, or where the cost is lower. Another robot explains at least the last share: of many
+robots one fits better by chance."""
 
 ROUNDS: Final = 3
 """Mistakes that are looked for one after another."""
@@ -60,11 +68,8 @@ def contradictions(evidence: DiagnoseInput) -> list[Finding]:
     found: list[Finding] = []
     current = first_hypothesis(evidence)
     for _ in range(ROUNDS):
-        if current.fit.cost < GATE:
-            break
         candidates = _ranked_candidates(current)
-        least = DOUBTFUL if current.fit.cost > LITTLE else CLEAR
-        if not candidates or not _is_clear(candidates[0], current, least):
+        if not candidates:
             break
         found.append(_finding(candidates, current))
         if found[-1].severity != ERROR and candidates[0].most == ERROR:
@@ -73,45 +78,74 @@ def contradictions(evidence: DiagnoseInput) -> list[Finding]:
     return found
 
 
-def _is_clear(candidate: Candidate, before: Hypothesis, least: float) -> bool:
-    """True where a candidate removes enough of the cost, or of what its own joints leave."""
-    if candidate.share(before) >= least:
-        return True
-    own = candidate.share_on_joints(before)
-    return own >= CLEAR and candidate.difference(before) >= NOTICED
-
-
 def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
-    """Return all candidates, the best first; other robots only where no other candidate explains
-    the recording."""
-
-    def cost(candidate: Candidate) -> float:
-        return candidate.hypothesis.fit.cost
-
+    """Return all candidates that gain anything, the best first, and none if the best one gains
+    little; other robots and other inertias of links only where there is something to explain."""
+    if current.fit.score < DOUBTFUL:
+        return []
     rough = current.fit.cost >= ROUGH
     searches = [search for search in SEARCHES if rough or search not in OF_JOINTS]
-    candidates = sorted((one for search in searches for one in search(current)), key=cost)
+    candidates = _ranked(current, searches)
     if candidates and candidates[0].share(current) < EXPLAINED and current.fit.cost > FOREIGN:
-        # Of many robots one fits better by chance: such a candidate is an error or nothing.
-        foreign = [one for one in other_robot(current) if one.share(current) >= SURE]
-        candidates = sorted([*candidates, *foreign], key=cost)
-    return candidates
+        foreign = [one for one in _ranked(current, [other_robot]) if one.share(current) >= FITTING]
+        candidates = _sorted(current, [*candidates, *foreign])
+    if not candidates or candidates[0].evidence(current) < DOUBTFUL:
+        return []
+    return _sorted(current, [*candidates, *_ranked(current, [link_inertia])])
+
+
+def _ranked(current: Hypothesis, searches: Sequence[Search]) -> list[Candidate]:
+    """Candidates of some searches, each with the number of sets of joints, or of robots, that its
+    search has tried."""
+    found: list[Candidate] = []
+    for search in searches:
+        some = list(search(current))
+        count = len({(one.joints, one.edit if one.name == "robot" else "") for one in some})
+        found += [replace(one, choices=count) for one in some]
+    return _sorted(current, found)
+
+
+def _sorted(current: Hypothesis, candidates: Sequence[Candidate]) -> list[Candidate]:
+    ranked = sorted(candidates, key=lambda one: -one.evidence(current))
+    return [one for one in ranked if one.evidence(current) > 0 and _is_visible(one, current)]
+
+
+def _is_visible(candidate: Candidate, current: Hypothesis) -> bool:
+    """True where a candidate removes a share of the cost, or, of a joint among others that nothing
+    explains, a part of that joint's torque."""
+    removed, least = current.fit.cost - candidate.hypothesis.fit.cost, LEAST * current.fit.cost
+    of_some = len(candidate.joints) < current.evidence.count
+    return removed >= (min(NOTICED, least) if of_some else least)
 
 
 def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
-    """Finding of the best of some candidates, with another one that is as good."""
-    candidate, explains = candidates[0], candidates[0].share(before)
-    changed = candidate.share_on_joints(before)
-    sure = candidate.difference(before) >= LARGE and (explains >= SURE or changed >= CLEAR)
-    others = [one for one in candidates[1:] if one.share(before) > explains - EQUAL]
-    other = next((one for one in others if one.name != candidate.name), None)
+    """Finding of the best of some candidates, with those that are as likely."""
+    best = candidates[0]
+    kinds = list({one.name: one for one in reversed(candidates)}.values())[::-1]
+    kinds = _sorted(before, kinds)
+    likely = [
+        one
+        for one in kinds
+        if one is not best
+        and (
+            one.gain(before) >= EQUAL * best.gain(before)
+            # A centre of mass may explain as much as an offset, with more numbers.
+            or (one.name == LINK and one.share(before) >= EQUAL * best.share(before))
+        )
+    ]
+    # Where the recording may be intact it is usable, and nobody has to correct it.
+    certain = all(one.most == ERROR for one in (best, *likely))
+    removed = before.fit.cost - best.hypothesis.fit.cost
+    sure = best.evidence(before) >= SURE and removed >= LARGE
+    others = "".join(f" (or, as likely: {one.message})" for one in likely)
     return Finding(
-        name=candidate.name,
-        severity=candidate.most if sure else WARNING,
-        message=candidate.message + (f" (or, as likely: {other.message})" if other else ""),
-        joints=tuple(before.evidence.joints[j] for j in candidate.joints),
-        explains=round(explains, 3),
-        confidence=round(min(1.0, max(explains, changed)) * (0.5 if other else 1.0), 2),
-        blind=candidate.blind,
-        edit=candidate.edit,
+        name=best.name,
+        severity=ERROR if certain and sure else WARNING if best.most == ERROR else best.most,
+        message=best.message + others,
+        joints=tuple(before.evidence.joints[j] for j in best.joints),
+        explains=round(best.share(before), 3),
+        confidence=round(1.0 / (1 + len(likely) + np.exp(-0.5 * best.evidence(before))), 2),
+        blind=best.blind,
+        edit="; or, whichever is true: ".join(one.edit for one in (best, *likely)),
+        alternatives=tuple(one.alternative(before) for one in kinds),
     )

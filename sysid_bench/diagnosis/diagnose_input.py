@@ -203,6 +203,11 @@ class DiagnoseInput:
         return tuple(f"{names[b]}.{name}" for b in firsts for name in NAMES), theta
 
     @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of the moving links (k,), each that of its first body."""
+        return tuple(name.rpartition(".")[0] for name in self._links[0][::10])
+
+    @property
     def file_parameters(self) -> Array:
         """Parameters (k, 10) of the links in the model file, welded bodies included."""
         theta = self._links[1]
@@ -245,15 +250,21 @@ class DiagnoseInput:
         return self.robot.completed(Trajectory(t, q, v, a, "diagnosed"))
 
     def normal(
-        self, motion: JointMotion, W: Array | None = None, more: Array | None = None
+        self,
+        motion: JointMotion,
+        W: Array | None = None,
+        more: Array | None = None,
+        spread: Array | float = 1.0,
     ) -> NearModel:
         """Normal equations near the model along a motion of as many samples as `sparse`, with its
         own link columns or with others W (N, n, p); `more` (N, n, k): columns that a mixing may add
-        to the torques."""
+        to the torques; `spread` (p,): factors on the spreads of the links."""
         W = self.regressor(motion) if W is None else W
         T = np.repeat(self.fit_samples[1][:, None], self.count, axis=1)
         T = T if more is None else np.concatenate([T, more], axis=2)
-        return near.near_model(W, terms(motion), T, self.file_parameters.ravel(), self.link_std)
+        std = self.link_std * spread
+        known, seconds = self.file_parameters.ravel(), len(self.log.recording) / self.rate
+        return near.near_model(W, terms(motion), T, known, std, seconds)
 
     @cached_property
     def near_model(self) -> NearModel:

@@ -64,10 +64,14 @@ def joint_gains(before: Hypothesis) -> Iterator[Candidate]:
             "current", joints, cured,
             f"torques are off by a factor of their own in each joint ({listed}): currents?",
             f'{edit}, and unit = "A" where these are currents', BLIND,
+            unknowns=float(e.count),
         )  # fmt: skip
         return
     parts = _by_factor(before, gains, joints, is_common)
-    yield Candidate("gain", joints, cured, f"{parts}: a gear or a drive constant", edit, BLIND)
+    yield Candidate(
+        "gain", joints, cured, f"{parts}: a gear or a drive constant", edit, BLIND,
+        unknowns=1.0 if is_common else float(len(joints)),
+    )  # fmt: skip
 
 
 def _by_factor(before: Hypothesis, gains: Array, joints: tuple[int, ...], is_common: bool) -> str:

@@ -9,13 +9,16 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, JointMotion
-from sysid_bench.diagnosis.finding import ERROR
+from sysid_bench.diagnosis.finding import ERROR, Alternative
 from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.types import Array
 
-CHANGED: Final = 0.1
-"""Relative change of a joint's squared residual from which a candidate concerns it."""
+NORMAL: Final = 1.96
+"""97.5 % quantile of the normal distribution, of a decision."""
+
+UNKNOWNS: Final = {"gain": 1.0, "offset": 1.0, "gravity": 2.0, "rate": 1.0}
+"""Numbers that candidates fit beside the bodies and the friction that all of them fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,8 @@ def first_hypothesis(evidence: DiagnoseInput) -> Hypothesis:
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """Possible mistake in some joints (indices), and the recording without it; `most`: its gravest
-    severity."""
+    severity. `estimate`: its number with its unit, `interval` (95 %) of that number. `unknowns`:
+    numbers that it fits, `choices`: candidates of its kind that were tried."""
 
     name: str
     joints: tuple[int, ...]
@@ -75,22 +79,38 @@ class Candidate:
     edit: str
     blind: str
     most: str = ERROR
+    estimate: str = ""
+    interval: tuple[float, float] | None = None
+    unknowns: float | None = None
+    choices: int = 1
 
     def share(self, before: Hypothesis) -> float:
         """Share of the cost that the candidate removes."""
         return 1.0 - self.hypothesis.fit.cost / before.fit.cost
 
-    def share_on_joints(self, before: Hypothesis) -> float:
-        """Share of the squared residuals that the candidate removes on the joints where it changes
-        them: others, which nothing explains, may have most of the cost."""
-        old, new = before.fit.residual**2, self.hypothesis.fit.residual**2
-        changed = np.abs(old - new) > CHANGED * old
-        total = float(old[changed].sum())
-        return 1.0 - float(new[changed].sum()) / total if total > 0 else 0.0
+    def gain(self, before: Hypothesis) -> float:
+        """Twice the logarithm of the odds that the candidate gains, less 1 for each number that it
+        fits: what a number without meaning gains on average."""
+        unknowns = UNKNOWNS.get(self.name, 0.0) if self.unknowns is None else self.unknowns
+        return before.fit.score - self.hypothesis.fit.score - unknowns
 
-    def difference(self, before: Hypothesis) -> float:
-        """Cost that the candidate removes: of the size of one per joint that nothing explains."""
-        return before.fit.cost - self.hypothesis.fit.cost
+    def evidence(self, before: Hypothesis) -> float:
+        """The gain less twice the logarithm of the number of candidates of its kind, of which one
+        gains something by chance."""
+        return self.gain(before) - 2.0 * float(np.log(self.choices))
+
+    def alternative(self, before: Hypothesis) -> Alternative:
+        """Row of the table of explanations."""
+        return Alternative(
+            name=self.name,
+            joints=tuple(before.evidence.joints[j] for j in self.joints),
+            estimate=self.estimate,
+            interval=self.interval,
+            explains=round(self.share(before), 3),
+            evidence=round(self.evidence(before), 1),
+            message=self.message,
+            edit=self.edit,
+        )
 
 
 def joint_factors(n: int, joints: Sequence[int], factor: float) -> Array:

@@ -7,8 +7,10 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, terms
-from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis, first_hypothesis
+from sysid_bench.diagnosis.finding import NOTE
+from sysid_bench.diagnosis.hypothesis import NORMAL, Candidate, Hypothesis, first_hypothesis
 from sysid_bench.errors import SysidBenchError
+from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import read_manifest
 from sysid_bench.models.robot import RobotModel
@@ -18,6 +20,10 @@ from sysid_bench.types import Array, Recording
 ANGLE: Final = 10.0
 """Degrees; below it the base may simply not be level."""
 STANDARD: Final = 9.81
+
+LINK: Final = "link"
+UNSURE: Final = 10.0
+"""Factor on the spreads of a link of which the model file says nothing."""
 
 
 def gravity_direction(before: Hypothesis) -> Iterator[Candidate]:
@@ -71,6 +77,35 @@ def _angle(one: Array, other: Array) -> float:
 
 def _text(g: Array) -> str:
     return "[" + ", ".join(f"{x:.3g}" for x in np.round(g, 2) + 0.0) + "]"
+
+
+def link_inertia(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield candidates with a link whose mass, centre and inertia are almost unknown: the model
+    file, not the recording, is wrong."""
+    e, W = before.evidence, before.evidence.regressor(before.motion)
+    for k, (name, phi) in enumerate(zip(e.link_names, e.file_parameters, strict=False)):
+        own = slice(10 * k, 10 * k + 10)
+        spread = np.ones(len(e.link_std))
+        spread[own] = UNSURE
+        freed = replace(before, given=e.normal(before.motion, W, spread=spread))
+        found = freed.fit.links[own]
+        if not found[0] > 0:
+            continue
+        left = freed.model.variances(freed.mixing)[own]
+        half = NORMAL * e.link_std[10 * k] * UNSURE * float(np.sqrt(left[0]))
+        interval = max(float(found[0]) - half, 0.0), float(found[0]) + half
+        # A wider prior is believed less, by the logarithm of its width for each number known.
+        yield Candidate(
+            LINK, tuple(range(e.count)), freed,
+            f"{name} has another mass or another centre of mass than in the model file: "
+            f"{found[0]:.3g} kg ({level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}]) at "
+            f"{_text(found[1:4] / found[0])} m, not {phi[0]:.3g} kg at "
+            f"{_text(phi[1:4] / max(phi[0], 1e-9))} m",
+            "correct the link in the model file; recordings of it can be used as they are",
+            "mistakes of the joint that carries the link look alike", most=NOTE,
+            estimate=f"{found[0]:.3g} kg", interval=interval,
+            unknowns=float(np.log(UNSURE) * (1.0 - left).sum()),
+        )  # fmt: skip
 
 
 def other_robot(before: Hypothesis) -> Iterator[Candidate]:

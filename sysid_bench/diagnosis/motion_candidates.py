@@ -26,7 +26,7 @@ SMALLEST: Final = 0.05
 QUARTERS: Final = (0.5 * np.pi, -0.5 * np.pi, np.pi)
 """rad; zeros of other conventions."""
 STEP: Final = 1e-4
-TRIED: Final = 0.3
+TRIED: Final = (0.4, 0.2, 0.1, 0.05, 0.025, 0.01, 0.004)
 STEPS: Final = 4
 CLOSE: Final = 2e-3
 """Steps of the search for an offset, and the step (rad, m) at which it ends."""
@@ -73,7 +73,7 @@ def encoder_offset(before: Hypothesis) -> Iterator[Candidate]:
             if abs(offset) >= SMALLEST:
                 candidate = _moved(before, j, offset)
                 yield candidate
-                if best is None or candidate.hypothesis.fit.cost < best[0].hypothesis.fit.cost:
+                if best is None or candidate.hypothesis.fit.score < best[0].hypothesis.fit.score:
                     best = candidate, offset
     if best is not None:
         yield from _searched(before, *best)
@@ -86,7 +86,7 @@ def _searched(before: Hypothesis, start: Candidate, offset: float) -> Iterator[C
     for _ in range(STEPS):
         step = float(_small_offsets(candidate.hypothesis, (j,))[0])
         moved = _moved(before, j, offset + step)
-        if moved.hypothesis.fit.cost >= candidate.hypothesis.fit.cost:
+        if moved.hypothesis.fit.score >= candidate.hypothesis.fit.score:
             break
         candidate, offset = moved, offset + step
         if abs(step) < CLOSE:
@@ -118,16 +118,15 @@ def _small_offsets(before: Hypothesis, joints: Sequence[int]) -> Array:
     model = e.normal(before.motion, more=np.stack(slopes, axis=2))
     offsets = np.zeros(len(joints))
     for k in range(len(joints)):
-        costs = []
-        for offset in (-TRIED, 0.0, TRIED):
-            # The fit of torques less slope times offset: three of them, no new regressor.
-            mixing = np.zeros((n + len(joints), n))
-            mixing[:n], mixing[n + k] = before.mixing, -offset
-            costs.append(model.fit(mixing).cost)
-        # The minimum of the parabola through three costs.
-        curvature = costs[0] - 2 * costs[1] + costs[2]
-        if curvature > 0:
-            offsets[k] = np.clip(0.5 * TRIED * (costs[0] - costs[2]) / curvature, -1.0, 1.0)
+        best = before.fit.score
+        for size in TRIED:
+            for moved in (offsets[k] - size, offsets[k] + size):
+                # The fit of torques less slope times offset: no new regressor.
+                mixing = np.zeros((n + len(joints), n))
+                mixing[:n], mixing[n + k] = before.mixing, -moved
+                score = model.fit(mixing).score
+                if score < best:
+                    best, offsets[k] = score, moved
     return offsets
 
 

@@ -21,6 +21,18 @@ PENALTY: Final = 0.05
 """Residual, relative to a joint's RMS torque, that outweighs one standard deviation of the prior:
 of the size of what rigid bodies and simple friction leave on recorded arms."""
 
+FLOOR: Final = 0.015
+"""Least residual of a joint, relative to its RMS torque, that the fit believes in."""
+
+PARTS: Final = 4.0
+"""Independent numbers that the residual of a joint counts as, one a second at most: what bodies and
+friction leave repeats with the motion, and more samples of it do not say more."""
+
+REWEIGHTED: Final = 4
+SETTLED: Final = 0.02
+"""Fits with the joints' weights, each from the residuals of the one before, and the change of the
+weights that ends them."""
+
 MASS: Final = 0.4
 CENTRE: Final = 0.4
 INERTIA: Final = 0.8
@@ -61,10 +73,12 @@ def _spread(phi: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class NearModelFit:
     """Fit near the model. `cost`: sum of the squared relative residuals of all joints and of the
-    penalty. `residual` (n,): RMS residual of each joint over its RMS torque; `links` (p,) and
-    `terms` (n, 4): estimates, relative torques in SI."""
+    penalty; `score`: -2 log of the posterior density, but for a constant. `residual` (n,): RMS
+    residual of each joint over its RMS torque; `links` (p,) and `terms` (n, 4): estimates, relative
+    torques in SI."""
 
     cost: float
+    score: float
     residual: Array
     links: Array
     terms: Array
@@ -81,6 +95,7 @@ class NearModel:
     scale: Array
     known: Array  # (p,) of the file
     information: Array  # (r,) mean squared relative torque of one spread along each direction
+    parts: float = PARTS
 
     @property
     def rank(self) -> int:
@@ -95,31 +110,38 @@ class NearModel:
         select[:, known, 0] = -1.0
         rhs = (self.products @ select)[:, :, 0]  # products of all columns with tau - tau_file
         left = (select.transpose(0, 2, 1) @ self.products @ select)[:, 0, 0]
-        H, b = self._system(scale, rhs)
-        signed = [r + j * m + i for j in np.flatnonzero(scale > 0) for i in range(SIGNED)]
-        x = _bounded(H, b, np.array(signed, dtype=int))
-        links, terms = x[:r], x[r:].reshape(n, -1)
-        # Residuals from the products alone: |y - X x|^2 = y'y - 2 x'X'y + x'X'X x.
-        full = np.concatenate([np.tile(links, (n, 1)), terms], axis=1)
-        P = self.products[:, :known, :known]
-        rss = left - 2 * (full * rhs[:, :known]).sum(axis=1)
-        rss += np.einsum("ni,nij,nj->n", full, P, full)
-        relative = np.sqrt(np.maximum(rss, 0.0) * scale)
-        cost = float((relative**2).sum() + PENALTY**2 * (links**2).sum())
-        return NearModelFit(cost, relative, self.known + self.scale * (self.basis @ links), terms)
+        signed = np.add.outer(r + m * np.flatnonzero(scale > 0), range(SIGNED)).ravel()
+        P, weight = self.products[:, :known, :known], np.ones(n)
+        for _ in range(REWEIGHTED):
+            H, b = self._system(scale * weight, rhs)
+            x = _bounded(H, b, signed)
+            links, terms = x[:r], x[r:].reshape(n, -1)
+            # Residuals from the products alone: |y - X x|^2 = y'y - 2 x'X'y + x'X'X x.
+            full = np.concatenate([np.tile(links, (n, 1)), terms], axis=1)
+            rss = left - 2 * (full * rhs[:, :known]).sum(axis=1)
+            rss += np.einsum("ni,nij,nj->n", full, P, full)
+            square = np.maximum(rss, 0.0) * scale
+            old, weight = weight, _weights(square)
+            if np.abs(weight - old).max() < SETTLED:
+                break
+        prior = float((links**2).sum())
+        # A joint's own misfit is its noise: one that nothing explains decides nothing.
+        score = self.parts * float(np.log1p(square / FLOOR**2).sum()) + prior
+        cost = float(square.sum()) + PENALTY**2 * prior
+        links = self.known + self.scale * (self.basis @ links)
+        return NearModelFit(cost, score, np.sqrt(square), links, terms)
 
-    def deviation(self, mixing: Array, parameter: int) -> float:
-        """Standard deviation of a link parameter in the fit of T @ mixing: that of one whose
-        residuals, independent between joints and not between samples, are PENALTY or more."""
-        r = self.rank
-        level = max(PENALTY**2, self.fit(mixing).cost / len(self.products))
-        no_sides = np.zeros((len(self.products), r + len(TERMS)))
-        H, _ = self._system(self._torques(mixing)[1], no_sides)
+    def variances(self, mixing: Array) -> Array:
+        """Variances (p,) of the link parameters in the fit of T @ mixing, over those of the
+        prior."""
+        scale, no_sides = self._torques(mixing)[1], np.zeros((len(self.products), self.rank + 4))
+        weight = _weights(self.fit(mixing).residual ** 2)
+        H, _ = self._system(scale * weight, no_sides)
         H[np.diag_indices_from(H)] += 1e-12 * H.diagonal().max()
-        along = self.basis[parameter]
-        known = along @ np.linalg.inv(H)[:r, :r] @ along * level
+        known = FLOOR**2 * np.linalg.inv(H)[: self.rank, : self.rank]
         # Directions without any effect on the torque keep the spread of the prior.
-        return float(self.scale[parameter] * np.sqrt(known + max(1.0 - along @ along, 0.0)))
+        unknown = np.maximum(1.0 - (self.basis**2).sum(axis=1), 0.0)
+        return np.asarray(np.einsum("pi,ij,pj->p", self.basis, known, self.basis) + unknown)
 
     def _torques(self, mixing: Array) -> tuple[Array, Array]:
         """Weights (n, c, 1) of the columns in the torques T @ mixing, and the reciprocals (n,) of
@@ -132,9 +154,10 @@ class NearModel:
     def _system(self, scale: Array, rhs: Array) -> tuple[Array, Array]:
         """Normal matrix and right side of [links, terms of all joints]."""
         r, n, m = self.rank, len(self.products), len(TERMS)
+        scale = self.parts * scale
         H = np.zeros((r + n * m, r + n * m))
         H[:r, :r] = np.tensordot(scale, self.products[:, :r, :r], axes=1)
-        H[:r, :r] += PENALTY**2 * np.eye(r)
+        H[:r, :r] += FLOOR**2 * np.eye(r)
         b = np.zeros(r + n * m)
         b[:r] = scale @ rhs[:, :r]
         for j in range(n):
@@ -144,6 +167,11 @@ class NearModel:
             H[part, part] = scale[j] * self.products[j, r : r + m, r : r + m]
             b[part] = scale[j] * rhs[j, r : r + m]
         return H, b
+
+
+def _weights(square: Array) -> Array:
+    """Weights (n,) of joints in the fit that minimises the score, from their relative squares."""
+    return np.asarray(FLOOR**2 / (FLOOR**2 + square))
 
 
 def _bounded(H: Array, b: Array, signed: Array) -> Array:
@@ -168,10 +196,12 @@ def _bounded(H: Array, b: Array, signed: Array) -> Array:
     return np.asarray(x / D)
 
 
-def near_model(W: Array, F: Array, T: Array, known: Array, scale: Array) -> NearModel:
+def near_model(
+    W: Array, F: Array, T: Array, known: Array, scale: Array, seconds: float
+) -> NearModel:
     """Normal equations of the link columns W (N, n, p), the terms F (N, n, 4) and the torques
     T (N, n, k), of which the first n are the recorded ones, with the file's parameters `known` (p,)
-    and their spreads `scale` (p,)."""
+    and their spreads `scale` (p,); the recording lasts some `seconds`."""
     n = W.shape[1]
     rms = np.sqrt((T[:, 0, :n] ** 2).mean(axis=0))
     weight = np.where(rms > 0, 1.0 / np.where(rms > 0, rms, 1.0), 0.0)
@@ -183,7 +213,8 @@ def near_model(W: Array, F: Array, T: Array, known: Array, scale: Array) -> Near
     basis = vectors[:, kept]
     file = W @ known
     columns = np.concatenate([Ws @ basis, F, file[:, :, None], T], axis=2)
-    return NearModel(_grams(columns), basis, scale, known, values[kept])
+    parts = min(PARTS, seconds)
+    return NearModel(_grams(columns), basis, scale, known, values[kept], parts)
 
 
 def _grams(X: Array) -> Array:

@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.finding import WARNING
+from sysid_bench.diagnosis.finding import ERROR, WARNING
 from sysid_bench.diagnosis.hypothesis import (
+    NORMAL,
     Candidate,
     Hypothesis,
     columns_edit,
@@ -18,19 +19,16 @@ from sysid_bench.diagnosis.hypothesis import (
 from sysid_bench.evaluation.intervals import coverage_factor, level_text
 from sysid_bench.models.model_checks import length
 
-NORMAL: Final = 1.96
-"""97.5 % quantile of the normal distribution, of a decision."""
-
 EXCHANGED: Final = 0.5
 """Cost below which three or more columns cannot be exchanged."""
 
-FACTORS: Final = np.logspace(-4, 4, 33)
-"""Gains tried: four to a decade."""
-REFINED: Final = np.logspace(-0.125, 0.125, 7)
+FACTORS: Final = np.logspace(-4, 4, 17)
+"""Gains tried: two to a decade; the best one is refined by steps that are halved."""
+HALVED: Final = 6
+WIDEST: Final = 0.5 * float(np.log(10.0))
+"""Half of the widest interval of a gain that is one, in the logarithm."""
 SMALLEST: Final = 1.8
-"""A smaller gain lies within the spread of masses between a model file and its robot."""
-EXACT: Final = 0.003
-"""Least residual, relative to a joint's RMS torque, of an interval of a gain."""
+"""A smaller gain may be the spread of masses between a model file and its robot as well."""
 MASSLESS: Final = 0.01
 """Mass, relative to the heaviest link, that rounding and spread give links without any."""
 KNOWN: Final = {1e3: "mN m for N m", 180 / np.pi: "degrees for radians in a gain"}
@@ -40,8 +38,9 @@ BLIND_GAIN: Final = (
     "axes; a common factor below 2 needs a known load"
 )
 
-LEAST: Final = 0.5
-"""Least share of the cost that a load removes: ten more unknowns explain a part of any residual."""
+TYPICAL: Final = 0.1
+"""Mass and size of a tool over those of its robot: numbers that the torque leaves open by more than
+such a tool has are not fitted, and do not count as unknowns."""
 FARTHEST: Final = 0.5
 """Distance of a load's centre of mass from the body that carries it, and radius of gyration, as
 shares of the robot's length, above which it is none."""
@@ -109,30 +108,46 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
     def scaled(factor: float) -> Hypothesis:
         return before.with_torque(np.diag(joint_factors(e.count, joints, factor)))
 
-    costs = np.array([scaled(k).fit.cost for k in FACTORS])
-    coarse = FACTORS[np.argmin(costs)]
-    factor = min(coarse * REFINED, key=lambda k: scaled(k).fit.cost)
-    best, size = scaled(factor), max(factor, 1 / factor)
-    # The 95 % interval of the gain, from the costs at FACTORS, has to have two ends and to leave 1
-    # out. The residuals of the joints count as one independent number each: models, not noise, make
-    # most of them.
-    level = max(float((best.fit.residual[list(joints)] ** 2).mean()), EXACT**2)
-    limit = best.fit.cost + NORMAL**2 * level
+    scores = [scaled(factor).fit.score for factor in FACTORS]
+    factor, best = float(FACTORS[np.argmin(scores)]), min(scores)
+    step = 0.25 * np.log(10.0)
+    for _ in range(HALVED):
+        near = [factor * np.exp(-step), factor * np.exp(step)]
+        beside = [scaled(one).fit.score for one in near]
+        if min(beside) < best:
+            factor, best = near[int(np.argmin(beside))], min(beside)
+        step *= 0.5
+    bend = sum(scaled(factor * np.exp(one)).fit.score for one in (-0.1, 0.1)) - 2 * best
+    size, half = max(factor, 1 / factor), NORMAL * 0.1 * np.sqrt(2.0 / max(bend, 1e-9))
+    # The 95 % interval has to have two ends, to leave 1 out and to hold less than a decade, or the
+    # recording says nothing.
+    closed = min(before.fit.score, scores[0], scores[-1]) > best + NORMAL**2
+    decided, found = closed and half < min(np.log(size), WIDEST), scaled(factor)
     # No link may need a negative mass; links without one in the file are left aside.
-    mass = best.fit.links[::10]
+    mass = found.fit.links[::10]
     possible = e.placeholder != "" or bool((mass > -MASSLESS * mass.max()).all())
-    decided = min(before.fit.cost, costs[0], costs[-1]) > limit
-    if size < SMALLEST or not (decided and possible):
+    if not (decided and possible):
         return
     names = "all joints" if len(joints) == e.count else e.joints[joints[0]]
-    cause = (
-        "a unit, a gear ratio or a drive constant" if size > 20 else "a drive constant or a gear"
-    )
-    cause = next((text for k, text in KNOWN.items() if abs(np.log(size / k)) < 0.2), cause)
-    kind = "small" if factor > 1 else "large"
-    message = f"the torque of {names} is about {size:.3g} times too {kind}: {cause}"
-    edit = setting_edit(e, "tau", "gain", joint_factors(e.count, joints, factor))
-    yield Candidate("gain", joints, best, message, edit, BLIND_GAIN)
+    interval = float(size * np.exp(-half)), float(size * np.exp(half))
+    estimate = f"{size:.3g} times too {'small' if factor > 1 else 'large'}"
+    between = f"{level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}]"
+    yield Candidate(
+        "gain", joints, found,
+        f"the torque of {names} is about {estimate} ({between}): {_cause(size)}",
+        setting_edit(e, "tau", "gain", joint_factors(e.count, joints, factor)), BLIND_GAIN,
+        most=ERROR if size >= SMALLEST else WARNING, estimate=estimate, interval=interval,
+    )  # fmt: skip
+
+
+def _cause(size: float) -> str:
+    """Likely cause of a gain that is so many times too large or too small."""
+    if size < SMALLEST:
+        return "a drive constant, or links that are as much heavier or lighter than in the file"
+    if size <= 20:
+        return "a drive constant or a gear"
+    cause = "a unit, a gear ratio or a drive constant"
+    return next((text for k, text in KNOWN.items() if abs(np.log(size / k)) < 0.2), cause)
 
 
 def tool_load(before: Hypothesis) -> Iterator[Candidate]:
@@ -142,22 +157,30 @@ def tool_load(before: Hypothesis) -> Iterator[Candidate]:
     if e.loaded or e.placeholder or e.robot.tree.carrier[e.robot.tool_body] < 0:
         return
     loaded = replace(before, evidence=replace(e, loaded=True), given=None)
-    phi, explains = loaded.fit.links[-10:], 1.0 - loaded.fit.cost / before.fit.cost
+    phi = loaded.fit.links[-10:]
     # Inertias that the motion hardly excites may have any sign: half of their trace decides.
+    total = float(e.file_parameters[:, 0].sum())
     mass, farthest = float(phi[0]), FARTHEST * length(e.robot)
     turning = 0.5 * abs(phi[4] + phi[7] + phi[9])
     is_near = np.linalg.norm(phi[1:4]) <= farthest * mass and turning <= farthest**2 * mass
-    if explains < LEAST or not (mass > 0 and is_near):
+    # No arm carries a load heavier than itself.
+    if not (0 < mass < total and is_near):
         return
-    deviation = loaded.model.deviation(loaded.mixing, len(loaded.fit.links) - 10)
-    half = round(coverage_factor(np.inf), 2) * deviation
+    variances = loaded.model.variances(loaded.mixing)[-10:]
+    deviation = loaded.evidence.link_std[-10] * float(np.sqrt(variances[0]))
+    half = coverage_factor(np.inf) * deviation
+    reach = TYPICAL * length(e.robot)
+    tool = TYPICAL * total * np.array([1.0, *[reach] * 3, *[reach**2] * 6])
+    known = tool**2 / (tool**2 + variances * loaded.evidence.link_std[-10:] ** 2)
+    interval = max(mass - half, 0.0), mass + half
     body = e.robot.body_names[e.robot.tool_body]
     yield Candidate(
         "load", tuple(range(e.count)), loaded,
         f"a load at {body} that the model lacks explains the torque: {mass:.3g} kg "
-        f"({level_text()} in [{max(mass - half, 0.0):.3g}, {mass + half:.3g}], as far as the "
-        "masses of the links are known)",
+        f"({level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}], as far as the masses of the "
+        "links are known)",
         f"payload = {{ mass = {mass:.3g} }}, with its com and inertia, if that was mounted; "
         "identify finds it with the task payload",
         "a last link much heavier than in the model file looks alike", most=WARNING,
+        estimate=f"{mass:.3g} kg", interval=interval, unknowns=float(known.sum()),
     )  # fmt: skip

@@ -40,6 +40,11 @@ def confidence_level() -> float:
     return _stated.get() or LEVEL
 
 
+def is_stated() -> bool:
+    """True where `at_level` holds, as under --confidence or in a suite with its own level."""
+    return _stated.get() is not None
+
+
 @contextmanager
 def at_level(level: float | None) -> Iterator[None]:
     """Make all intervals at a level, unless an outer one is stated already, as by --confidence;

@@ -15,7 +15,7 @@ from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.excitation.export import Commands
 from sysid_bench.excitation.information import torque_model
 from sysid_bench.excitation.optimised import Optimised
-from sysid_bench.input_files import is_file, is_folder, read_text
+from sysid_bench.input_files import check_replaceable, is_file, is_folder, read_text
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Trajectory
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 EXPORTS: Final = ("csv", "ros2", "damiao", "can")
+STARTS: Final = ("t,", "header:", '{"header"', "# Damiao", "(0.0")
+"""Beginnings of the files of the exports."""
 RESTING: Final = "fourier-polynomial"
 """Family of curves for exports to hardware: it starts and ends at rest."""
 
@@ -51,6 +53,8 @@ def check_output(export: str | None, out: str | Path | None) -> str:
         raise UsageError("Where does the export go? Give a file: -o FILE.")
     if out is not None and not is_folder(Path(out).parent):
         raise UsageError(f"There is no folder {str(Path(out).parent)!r} to write the motion to.")
+    if out is not None:
+        check_replaceable(Path(out), STARTS, "a motion that excite wrote")
     return kind
 
 

@@ -16,6 +16,10 @@ ZERO: Final = 1e-9
 """Relative to the largest of its row: a smaller coefficient of K is a rounding error (measured:
 1e-12)."""
 
+ROUNDED: Final = 4e-6
+"""Relative to the largest of its row: smaller coefficients come from angles that a file rounds, as
+1.5708, whose cosine is -3.7e-6, and are left out of expressions."""
+
 APART: Final = 1e-6
 """A parameter whose unit vector is farther than this from the row space of K is identifiable in
 combination only. Axes that are parallel up to truncated decimals cause distances of 1e-7."""
@@ -51,10 +55,13 @@ MOST_NAMES: Final = 4
 
 def base_expressions(base: BaseMap) -> tuple[dict[str, float], ...]:
     """Return the coefficients {parameter: value} of each of the r base parameters, beginning with
-    its pivot, whose coefficient is 1."""
+    its pivot, whose coefficient is 1; without those of rounded angles."""
+    K = coefficients(base)
+    size = np.abs(K)
+    K = np.where(size > ROUNDED * size.max(axis=1, initial=0.0)[:, None], K, 0.0)
     return tuple(
         {base.parameters[j]: float(row[j]) for j in dict.fromkeys([pivot, *np.flatnonzero(row)])}
-        for pivot, row in zip(base.pivots, coefficients(base), strict=True)
+        for pivot, row in zip(base.pivots, K, strict=True)
     )
 
 

@@ -208,7 +208,8 @@ class DataSetFiles:
         listed = {file.path: file for file in self.described.file}
         if path not in listed:
             try:
-                beside = self.file.parent / _relative(path)
+                # A set of this package may name a model of its robots.
+                beside = self.file.parent / (path if self.has_name else _relative(path))
             except ValueError as error:
                 raise UsageError(f"{self.file}: a file of a motion {error}.") from error
             if is_file(beside) or is_folder(beside):

@@ -168,6 +168,14 @@ def model_files(folder: Path, scenes: bool = False) -> list[Path]:
     return [file for file in found if _is_model(file, _DEEPEST if scenes else 0)]
 
 
+def check_model_file(file: Path) -> None:
+    """Raise ModelError for a file that is not a URDF and not an MJCF, by its root element."""
+    root = _outline(file).root
+    if root not in ("robot", "mujoco"):
+        found = f"its root element is <{root}>" if root else "it cannot be read as XML"
+        raise ModelError(f"{file} is neither URDF nor MJCF: {found}.")
+
+
 def hash_of_files(files: Iterable[Path]) -> dict[Path, str]:
     """Return the digest of each file, of files with equal content the first alone."""
     first: dict[str, Path] = {}

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
@@ -9,7 +10,10 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner, Result
 
+from sysid_bench.commands.excite import ExciteRequest
+from sysid_bench.commands.excite import excite as design
 from sysid_bench.commands.main import main
+from sysid_bench.errors import UsageError
 
 QUICK = ("--harmonics", "2", "--period", "5 s", "--iterations", "5")
 MOTORS = ("--motors", "DM10010,DM10010,DM10010,DM8009,DM8009,DM8009")
@@ -65,3 +69,14 @@ def test_the_next_motion_reads_the_last_one(tmp_path: Path) -> None:
         for more in ((), ("--after", str(first)))
     )
     assert alone["log_det"] != after["log_det"]
+
+
+def test_a_file_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
+    notes, motion = tmp_path / "notes.txt", tmp_path / "motion.csv"
+    notes.write_text("mine\n")
+    words: dict[str, Any] = {"settings": {"iterations": 1, "harmonics": 2, "period": 3.0}}
+    with pytest.raises(UsageError, match="would be lost"):
+        design(ExciteRequest("scara", out=notes, **words))
+    assert notes.read_text() == "mine\n"
+    motion.write_text("t,shoulder.q\n0,0\n")  # as excite writes it
+    assert design(ExciteRequest("scara", out=motion, **words)).file == str(motion)

@@ -12,6 +12,7 @@ from sysid_bench.commands.basis import basis
 from sysid_bench.commands.identify import identify
 from sysid_bench.commands.values import parse_noise, parse_payload, parse_terms
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
+from sysid_bench.evaluation.intervals import at_level
 from sysid_bench.experiments.tasks.task import unknown_bodies
 from sysid_bench.harness.run import run
 from sysid_bench.identifiability.base_map import structural_base
@@ -403,3 +404,46 @@ def test_what_the_rank_rule_drops_is_said_and_is_the_error_of_exact_data(robot: 
         assert "e-06 of the whole" in text
     for text in reason:
         assert "nearly dependent directions" in text
+
+
+def test_a_result_replaces_results_alone(tmp_path: Path) -> None:
+    target = tmp_path / "answer.json"
+    for _ in range(2):
+        identify("scara", json_out=target)
+    assert json.loads(target.read_text())["model"] == "scara"
+    target.write_text('{"mine": 1}')
+    with pytest.raises(UsageError, match="would be lost"):
+        identify("scara", json_out=target)
+    assert target.read_text() == '{"mine": 1}'
+
+
+def test_deviations_of_the_text_have_the_stated_level() -> None:
+    words: dict[str, Any] = {"noise": {"tau": "1 %"}}
+    plain = identify("scara", **words)
+    with at_level(0.99):
+        stated = identify("scara", **words)
+        assert "99 % interval" in stated.summary()
+    assert "one standard deviation" in plain.summary()
+    assert "reach" not in plain
+    assert stated["reach"] == pytest.approx(2.576, rel=0.05)
+    assert stated["base"] == plain["base"]  # the JSON keeps deviations
+
+
+def test_friction_below_zero_within_its_deviation_is_written_as_its_bound(tmp_path: Path) -> None:
+    """No Coulomb friction: noise makes about half of the estimates negative."""
+    file = tmp_path / "arm.toml"
+    file.write_text(
+        'name = "arm"\nfile = "example-robot-data:ur_description/urdf/ur5_robot.urdf"\n'
+        "[joints.all]\nviscous = 1.0\ncoulomb = 0.0\n"
+    )
+    words: dict[str, Any] = {"task": "link", "terms": ("viscous", "coulomb"), "payload": "box-2kg"}
+    target = tmp_path / "out.urdf"
+    result = identify(file, noise={"tau": "0.1 %"}, model_out=target, **words)
+    robot = load_robot(target)
+    values = {name: terms["coulomb"]["value"] for name, terms in result["joints"].items()}
+    for name, value in values.items():
+        written = robot.joint_terms.coulomb[robot.rows.index(name)]
+        assert written == pytest.approx(max(value, 0.0), abs=1e-12)
+        shown = any(f"{name}.fc" in text for text in result["warnings"] if "bound of" in text)
+        assert shown == (value < 0)
+    assert min(values.values()) < 0 < max(values.values())

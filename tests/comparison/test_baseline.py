@@ -457,3 +457,21 @@ def test_rows_of_a_run_are_read_for_the_metrics_asked_for(tmp_path: Path) -> Non
     assert found.models.keys() == {"ur5"}
     with pytest.raises(UsageError, match="torque_eror"):
         read_run(folder, ("torque_eror",))
+
+
+def test_cells_are_matched_by_labels_where_these_are_of_one_cell() -> None:
+    one, other = (CellValues("ur5", (name,), "ok", (0.25,)) for name in ("ols", "wls"))
+    before = replace(KEPT, cells={"a": one, "b": other})
+    after = replace(KEPT, cells={"c": replace(one, values=(0.5,)), "b": other})
+    found = compared(before, after)
+    assert [(change.cell, change.before, change.after) for change in found.cells] == [
+        ("c", 0.25, 0.5)
+    ]
+    assert (found.appeared, found.vanished) == ((), ())
+    assert before.has_cell({"id": "x", "robot": "ur5", "estimator": "ols"})
+    assert not before.has_cell({"id": "x", "robot": "ur5", "estimator": "didim"})
+    twice = replace(KEPT, cells={"c": one, "d": one, "b": other})
+    unclear = compared(before, twice)
+    assert (unclear.appeared, unclear.vanished) == (("c", "d"), ("a",))
+    elsewhere = compared(before, replace(after, name="another suite"))
+    assert (elsewhere.appeared, elsewhere.vanished) == (("c",), ("a",))

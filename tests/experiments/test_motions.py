@@ -28,7 +28,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Optimised]:
         return solve(self, *words, **more)
 
     monkeypatch.setattr(Optimised, "solve", counted)
-    monkeypatch.setattr(motions, "_folder", lambda: tmp_path / "designs")
+    monkeypatch.setattr(motions, "cache_folder", lambda: tmp_path / "designs")
     monkeypatch.setattr(motions, "_DESIGNS", {})
     noise_free._shared_part.cache_clear()
     return made
@@ -81,7 +81,7 @@ def test_a_damaged_file_is_made_again(solved: list[Optimised], tmp_path: Path) -
 def test_a_stored_design_is_the_whole_one_or_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(motions, "_folder", lambda: tmp_path)
+    monkeypatch.setattr(motions, "cache_folder", lambda: tmp_path)
     C = np.arange(6.0).reshape(2, 3)
     motions._write_design("key", C)
     (file,) = tmp_path.iterdir()

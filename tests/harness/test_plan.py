@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import fields as dataclass_fields
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ from harness_world import FULL, NAMES, read, small
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sysid_bench.commands.plan import plan
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
@@ -356,3 +358,14 @@ def test_what_is_redrawn_is_repeated_without_noise() -> None:
 def test_impossible_motions_are_refused(wrong: str) -> None:
     with pytest.raises(UsageError, match=wrong.split()[0]):
         plan_of(small(f"[defaults]\n{wrong}"))
+
+
+@pytest.mark.parametrize("text", ["hello", "<svg/>"])
+def test_a_robot_file_that_is_no_model_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(text)
+    suite = tmp_path / "bad.toml"
+    suite.write_text(
+        'schema = 1\nname = "bad"\n[[robot]]\nuse = "file:arm.urdf"\n[[estimator]]\nuse = "wls"\n'
+    )
+    with pytest.raises(UsageError, match="neither URDF nor MJCF"):
+        plan(suite)

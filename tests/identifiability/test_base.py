@@ -5,13 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sysid_bench.identifiability.base_expressions import base_expressions
 from sysid_bench.identifiability.base_map import base_map, structural_base
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.regression import regression
 from sysid_bench.types import Array, BaseMap
-from tests.robots import named_robot, random_robot, relative_gap, states
+from tests.robots import named_robot, random_robot, relative_gap, robot_of, states
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -148,3 +149,19 @@ def test_a_structural_map_is_the_same_every_time() -> None:
     one, other = (structural_base(robot, robot.inertial_columns) for _ in range(2))
     np.testing.assert_array_equal(one.K, other.K)
     np.testing.assert_array_equal(one.singular_values, other.singular_values)
+
+
+def test_coefficients_of_rounded_angles_are_not_printed() -> None:
+    """1.5708 instead of pi / 2 turns an axis by 3.7e-6, and leaves coefficients of that size."""
+    body = '<joint axis="0 0 1"/><geom size=".1" mass="1" pos="0.1 0 0"/>'
+    arm = (
+        f'<mujoco><compiler angle="radian"/><worldbody><body>{body}'
+        f'<body pos="0.3 0 0.2" euler="{{angle}} 0 0">{body}'
+        f'<body pos="0.3 0.1 0.2" euler="{{angle}} 0 0">{body}</body></body></body>'
+        "</worldbody></mujoco>"
+    )
+    robots = [robot_of(arm.format(angle=angle)) for angle in (repr(np.pi / 2), "1.5708")]
+    exact, rounded = (
+        base_expressions(structural_base(robot, robot.inertial_columns)) for robot in robots
+    )
+    assert [terms.keys() for terms in rounded] == [terms.keys() for terms in exact]

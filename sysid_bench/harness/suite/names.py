@@ -19,6 +19,7 @@ from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.model_record import ModelRecord, check_name, model_record
 from sysid_bench.models.payload import Payload, parse_payload
+from sysid_bench.models.sources import check_model_file
 
 if TYPE_CHECKING:
     from sysid_bench.experiments.tasks.task import TaskDefinition
@@ -70,6 +71,8 @@ def default_names(robots_dir: Path | None = None) -> Names:
         if source.startswith(SCHEME):  # of a set that need not be here yet
             return CheckedName(find_dataset(source.removeprefix(SCHEME), folder).described.name)
         manifest = find_manifest(source, robots_dir, folder)
+        if manifest.text is None:
+            check_model_file(manifest.path)
         check_name(manifest)
         return manifest
 
