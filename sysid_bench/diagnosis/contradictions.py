@@ -115,7 +115,7 @@ def _is_visible(candidate: Candidate, current: Hypothesis) -> bool:
     explains, a part of that joint's torque."""
     removed, least = current.fit.cost - candidate.hypothesis.fit.cost, LEAST * current.fit.cost
     of_some = len(candidate.joints) < current.evidence.count
-    return removed >= (min(NOTICED, least) if of_some else least)
+    return candidate.is_gross or removed >= (min(NOTICED, least) if of_some else least)
 
 
 def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
@@ -136,7 +136,7 @@ def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
     # Where the recording may be intact it is usable, and nobody has to correct it.
     certain = all(one.most == ERROR for one in (best, *likely))
     removed = before.fit.cost - best.hypothesis.fit.cost
-    sure = best.evidence(before) >= SURE and removed >= LARGE
+    sure = best.evidence(before) >= SURE and (best.is_gross or removed >= LARGE)
     others = "".join(f" (or, as likely: {one.message})" for one in likely)
     return Finding(
         name=best.name,

@@ -142,7 +142,10 @@ def _deviations(before: Hypothesis, links: Array, slope: Array, used: Array) -> 
         H[r + i, r + i] = weight * G[r, r]
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = np.linalg.inv(H / np.outer(size, size) + 1e-9 * np.eye(r + k))
-    return np.asarray(np.sqrt(np.diag(inverse)[r:]) / size[r:])
+    # Of a joint without motion or torque only rounding is left: its gain is unknown.
+    variance = np.diag(inverse)[r:]
+    known = (variance > 0) & (variance < 1e8)
+    return np.where(known, np.sqrt(np.where(known, variance, 1.0)) / size[r:], np.inf)
 
 
 def _ratio(product: float, size: float) -> float:

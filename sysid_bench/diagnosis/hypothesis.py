@@ -83,6 +83,7 @@ class Candidate:
     interval: tuple[float, float] | None = None
     unknowns: float | None = None
     choices: int = 1
+    is_gross: bool = False  # all torques wrong by more than any model file, whatever the cost
 
     def share(self, before: Hypothesis) -> float:
         """Share of the cost that the candidate removes."""

@@ -16,8 +16,10 @@ from sysid_bench.diagnosis.hypothesis import (
     joint_factors,
     setting_edit,
 )
+from sysid_bench.diagnosis.near_model import FREE
 from sysid_bench.evaluation.intervals import coverage_factor, level_text
 from sysid_bench.models.model_checks import length
+from sysid_bench.types import Array
 
 EXCHANGED: Final = 0.5
 """Cost below which three or more columns cannot be exchanged."""
@@ -33,6 +35,9 @@ MASSLESS: Final = 0.01
 """Mass, relative to the heaviest link, that rounding and spread give links without any."""
 KNOWN: Final = {1e3: "mN m for N m", 180 / np.pi: "degrees for radians in a gain"}
 """Ratios of units."""
+CLOSE: Final = 0.3
+"""Distance of a gain and of its limits from a ratio, in the logarithm: 100 is as far from 180/pi as
+its double."""
 BLIND_GAIN: Final = (
     "joints whose torque is mostly friction or rotor inertia, such as wrists and vertical first "
     "axes; a common factor below 2 needs a known load"
@@ -94,10 +99,15 @@ def _assignment(before: Hypothesis) -> tuple[int, ...]:
 
 
 def torque_gain(before: Hypothesis) -> Iterator[Candidate]:
-    """Yield candidates with another gain of all torques, or of one joint: units, gear ratios, motor
-    side, drive constants."""
+    """Yield candidates with another gain of all torques, with a load at the tool or without, or of
+    one joint: units, gear ratios, motor side, drive constants."""
     n = before.evidence.count
     yield from _gain(before, tuple(range(n)))
+    for one in _gain(_with_load(before), tuple(range(n))) if _may_carry(before) else ():
+        # Links near the file are too light for a load: without it the gain would be too large.
+        mass, load = one.hypothesis.fit.links[-10], _load_unknowns(one.hypothesis)
+        text = f"{one.message}, and a load of {mass:.3g} kg at the tool that the model lacks"
+        yield replace(one, message=text, unknowns=1.0 + load)
     for j in range(n):
         yield from _gain(before, (j,))
 
@@ -110,6 +120,8 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
 
     scores = [scaled(factor).fit.score for factor in FACTORS]
     factor, best = float(FACTORS[np.argmin(scores)]), min(scores)
+    if factor in FACTORS[[0, -1]]:
+        return
     step = 0.25 * np.log(10.0)
     for _ in range(HALVED):
         near = [factor * np.exp(-step), factor * np.exp(step)]
@@ -120,9 +132,10 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
     bend = sum(scaled(factor * np.exp(one)).fit.score for one in (-0.1, 0.1)) - 2 * best
     size, half = max(factor, 1 / factor), NORMAL * 0.1 * np.sqrt(2.0 / max(bend, 1e-9))
     # The 95 % interval has to have two ends, to leave 1 out and to hold less than a decade, or the
-    # recording says nothing.
+    # recording says nothing; links or a tool of which the file says nothing may be far heavier.
     closed = min(before.fit.score, scores[0], scores[-1]) > best + NORMAL**2
-    decided, found = closed and half < min(np.log(size), WIDEST), scaled(factor)
+    least = FREE if e.placeholder and factor < 1 else 1.0
+    decided, found = closed and half < min(np.log(size / least), WIDEST), scaled(factor)
     # No link may need a negative mass; links without one in the file are left aside.
     mass = found.fit.links[::10]
     possible = e.placeholder != "" or bool((mass > -MASSLESS * mass.max()).all())
@@ -134,29 +147,33 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
     between = f"{level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}]"
     yield Candidate(
         "gain", joints, found,
-        f"the torque of {names} is about {estimate} ({between}): {_cause(size)}",
+        f"the torque of {names} is about {estimate} ({between}): {_cause(size, half)}",
         setting_edit(e, "tau", "gain", joint_factors(e.count, joints, factor)), BLIND_GAIN,
         most=ERROR if size >= SMALLEST else WARNING, estimate=estimate, interval=interval,
+        # Links without mass fit small torques as well, at no cost but the prior's.
+        is_gross=len(joints) == e.count and interval[0] > SMALLEST and e.placeholder == "",
     )  # fmt: skip
 
 
-def _cause(size: float) -> str:
-    """Likely cause of a gain that is so many times too large or too small."""
+def _cause(size: float, half: float) -> str:
+    """Likely cause of a gain that is so many times too large or too small, known to a factor of
+    exp(half)."""
     if size < SMALLEST:
         return "a drive constant, or links that are as much heavier or lighter than in the file"
     if size <= 20:
         return "a drive constant or a gear"
     cause = "a unit, a gear ratio or a drive constant"
-    return next((text for k, text in KNOWN.items() if abs(np.log(size / k)) < 0.2), cause)
+    known = (text for k, text in KNOWN.items() if max(abs(np.log(size / k)), half) < CLOSE)
+    return next(known, cause)
 
 
 def tool_load(before: Hypothesis) -> Iterator[Candidate]:
     """Yield the candidate with ten unknown inertial parameters at the tool, where these are those
     of a body: of positive mass, and not far larger than the robot."""
     e = before.evidence
-    if e.loaded or e.placeholder or e.robot.tree.carrier[e.robot.tool_body] < 0:
+    if not _may_carry(before):
         return
-    loaded = replace(before, evidence=replace(e, loaded=True), given=None)
+    loaded = _with_load(before)
     phi = loaded.fit.links[-10:]
     # Inertias that the motion hardly excites may have any sign: half of their trace decides.
     total = float(e.file_parameters[:, 0].sum())
@@ -166,12 +183,7 @@ def tool_load(before: Hypothesis) -> Iterator[Candidate]:
     # No arm carries a load heavier than itself.
     if not (0 < mass < total and is_near):
         return
-    variances = loaded.model.variances(loaded.mixing)[-10:]
-    deviation = loaded.evidence.link_std[-10] * float(np.sqrt(variances[0]))
-    half = coverage_factor(np.inf) * deviation
-    reach = TYPICAL * length(e.robot)
-    tool = TYPICAL * total * np.array([1.0, *[reach] * 3, *[reach**2] * 6])
-    known = tool**2 / (tool**2 + variances * loaded.evidence.link_std[-10:] ** 2)
+    half = coverage_factor(np.inf) * float(np.sqrt(_load_variances(loaded)[0]))
     interval = max(mass - half, 0.0), mass + half
     body = e.robot.body_names[e.robot.tool_body]
     yield Candidate(
@@ -182,5 +194,31 @@ def tool_load(before: Hypothesis) -> Iterator[Candidate]:
         f"payload = {{ mass = {mass:.3g} }}, with its com and inertia, if that was mounted; "
         "identify finds it with the task payload",
         "a last link much heavier than in the model file looks alike", most=WARNING,
-        estimate=f"{mass:.3g} kg", interval=interval, unknowns=float(known.sum()),
+        estimate=f"{mass:.3g} kg", interval=interval, unknowns=_load_unknowns(loaded),
     )  # fmt: skip
+
+
+def _may_carry(before: Hypothesis) -> bool:
+    """True where a load is not there yet, and moves with links of which the file says something."""
+    e = before.evidence
+    return not (e.loaded or e.placeholder) and e.robot.tree.carrier[e.robot.tool_body] >= 0
+
+
+def _with_load(before: Hypothesis) -> Hypothesis:
+    """The hypothesis with a load at the tool."""
+    return replace(before, evidence=replace(before.evidence, loaded=True), given=None)
+
+
+def _load_variances(loaded: Hypothesis) -> Array:
+    """Variances (10,) of the load."""
+    std = loaded.evidence.link_std[-10:]
+    return np.asarray(loaded.model.variances(loaded.mixing)[-10:] * std**2)
+
+
+def _load_unknowns(loaded: Hypothesis) -> float:
+    """Numbers of the load that the torque decides."""
+    e = loaded.evidence
+    reach = TYPICAL * length(e.robot)
+    mass = TYPICAL * float(e.file_parameters[:, 0].sum())
+    tool = mass * np.array([1.0, *[reach] * 3, *[reach**2] * 6])
+    return float((tool**2 / (tool**2 + _load_variances(loaded))).sum())

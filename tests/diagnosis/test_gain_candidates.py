@@ -1,5 +1,6 @@
 """Gains of joints of their own: some joints, and currents; whatever the other torques are."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from sysid_bench.diagnosis.contradictions import contradictions
 from sysid_bench.diagnosis.gain_candidates import joint_gains
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
-from tests.diagnosis.test_diagnosis import evidence, log_of
+from tests.diagnosis.test_diagnosis import evidence, loaded_log, log_of
 from tests.robots import named_robot
 
 
@@ -51,3 +52,25 @@ def test_intact_torques_have_no_gains_of_their_own(tmp_path: Path, name: str) ->
     factors = np.where(np.arange(len(robot.phi)) % 2, 1.33, 0.75)
     told = replace(robot, phi=robot.phi * factors[:, None])
     assert not list(joint_gains(first_hypothesis(evidence(tmp_path, log, told))))
+
+
+@pytest.mark.parametrize(("name", "mass"), [("panda", 1.6), ("ur5", 2.0)])
+@pytest.mark.parametrize("factor", [0.01, 3.0])
+def test_a_gain_of_all_joints_is_found_behind_a_tool(
+    tmp_path: Path, name: str, mass: float, factor: float
+) -> None:
+    """The tool alone would make a gain too large, or a small one too small."""
+    log = replace(loaded_log(name, mass), joints=named_robot(name).rows)
+    made = evidence(tmp_path, replace(log, tau=factor * log.tau), named_robot(name))
+    first = contradictions(made)[0]
+    assert first.name == "gain"
+    np.testing.assert_allclose(np.array(numbers(first.edit)) * factor, 1.0, rtol=0.4)
+    assert re.findall(r"load of ([\d.]+) kg", first.message)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_joint_without_motion_and_torque_has_no_gain(tmp_path: Path) -> None:
+    log, robot = log_of("panda"), named_robot("panda")
+    free = np.arange(len(robot.rows)) != 6
+    log = replace(log, q=log.q * free, v=log.v * free, tau=log.tau * free)
+    assert not list(joint_gains(first_hypothesis(evidence(tmp_path, log, robot))))
