@@ -177,7 +177,8 @@ def _is_folded(own: JointRows, j: int) -> bool:
     Q = np.linalg.qr(X)[0]
 
     def error(y: Array) -> float:
-        return float(np.linalg.norm(y - Q @ (Q.T @ y)) / np.linalg.norm(y))
+        # A joint that nothing moves gives no sign at all.
+        return float(np.linalg.norm(y - Q @ (Q.T @ y)) / np.linalg.norm(y)) if y.any() else np.inf
 
     before = error(own.torque[:, j])
     if before < POOR:

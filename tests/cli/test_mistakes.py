@@ -86,7 +86,7 @@ SIMULATED = {
     "--simulate --noise tau=5": "has no unit; write one of N m, Nm, N·m, mN m, N, kN, %.",
     "--simulate --noise q=1e-4": "has no unit; write one of rad, mrad, deg",
     "--simulate --estimator SDP": "Did you mean 'lmi'?",
-    "--simulate --model-out a.xml": "*.urdf",
+    "--simulate --model-out a.txt": "name it *.urdf or *.xml",
     "--simulate --payload '{ mass = '": "TOML",
     "--simulate --contacts detec": "10 s to 25 s",
     "--simulate --contacts '5 s to 4 s'": "ends before it begins",

@@ -71,10 +71,9 @@ own_metric = Metric("own", "Own", "N m", better="lower", compute=lambda cell: 1.
 
 class _Again(Sound):
     def solve(self, problem: Any) -> Any:
-        seen = Path(os.environ["SYSID_TEST_SEEN"]) / type(self).__name__
-        if seen.exists():
+        # The environment of a test reaches the process that records, not that of a scored method.
+        if "SYSID_TEST_SEEN" in os.environ:
             self.act()
-        seen.touch()
         return super().solve(problem)
 
     def act(self) -> Any:
