@@ -25,6 +25,11 @@ MACHINE_FIELDS: Final = frozenset((
     "seconds_kernel_cpu", "load", "peak_memory", "machine", "isolation",
 ))  # fmt: skip
 """Fields of a row that differ from run to run on the same machine; all others are reproduced."""
+NAMESPACES: Final = "namespaces"
+PROCESS: Final = "process"
+"""Isolation of a third-party method: without network, other processes and files of others, or a
+fresh process alone."""
+
 MOST_LOSSES: Final = 3
 """A resumed run repeats a `lost` cell until it was lost this often."""
 

@@ -32,6 +32,7 @@ from sysid_bench.harness.suite.load_suite import (
 )
 from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.work.blind_process import wanted_isolation
 from sysid_bench.harness.work.row_files import ROWS_DIGEST, rows_digest
 from sysid_bench.harness.work.supervise import Ending, OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
@@ -98,6 +99,7 @@ def run(
         call=call, robots_dir=robots_dir,
     )  # fmt: skip
     on_event = on_event or no_progress
+    wanted_isolation()
     # An executor that is not there is an error before the suite is read.
     chosen = executor_of(executor)
     source, overrides = suite_or_folder, overrides or {}

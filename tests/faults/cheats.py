@@ -188,3 +188,21 @@ class Preload(_Cheat):
         os.environ["LD_PRELOAD"] = "libleft.so"
         Path("left").write_text("left")
         return found
+
+
+class Child(_Cheat):
+    """Computes in a process that no wait of its own will count."""
+
+    def reach(self, problem: Any) -> bool:
+        done, write = os.pipe()
+        if os.fork() == 0:
+            os.setsid()
+            if os.fork() == 0:
+                until = time.process_time() + 1.0
+                while time.process_time() < until:
+                    pass
+                os.write(write, b"1")
+                time.sleep(600)
+            os._exit(0)
+        os.read(done, 1)
+        return False

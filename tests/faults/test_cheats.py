@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from sysid_bench.errors import UsageError
 from sysid_bench.experiments.blind_data import SecretError, method_data
 from sysid_bench.experiments.execute import load_experiment, prepare
 from sysid_bench.experiments.spec import SEEDS
@@ -43,6 +44,7 @@ def rows_with(
     folder: Path, names: tuple[str, ...], port: int, plant: str = '"matched"'
 ) -> dict[str, dict[str, Any]]:
     """Rows of `ols`, the cheats and an honest method on one experiment, by label."""
+    folder.mkdir(exist_ok=True)
     seeds, out = folder / "seeds.txt", folder / "run"
     seeds.write_text(f"{SECRET}\n")
     (folder / "sealed.toml").write_text(f'schema = 1\nsealed = "{SEAL}"\neffects = []\n')
@@ -125,6 +127,25 @@ def test_a_system_that_refuses_a_part_of_the_namespaces(tmp_path: Path) -> None:
         """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["process", "started", "started"]
+
+
+def test_the_time_of_a_process_that_was_left_counts(tmp_path: Path, port: int) -> None:
+    found = rows_with(tmp_path, ("Child",), port)
+    assert 0.9 < found["Child"]["seconds_cpu"] < 5.0
+
+
+def test_a_sealed_plant_needs_namespaces(
+    tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SEEDS, str(tmp_path / "seeds.txt"))
+    monkeypatch.setenv(ISOLATION, "process")
+    found = rows_with(tmp_path, ("SeedFile",), port, '"file:sealed.toml"')
+    assert found["ols"]["status"] == "ok"
+    assert found["SeedFile"]["status"] == "failed"
+    assert "namespaces" in found["SeedFile"]["reason"]
+    monkeypatch.setenv(ISOLATION, "bogus")
+    with pytest.raises(UsageError, match="'bogus'; give namespaces or process"):
+        rows_with(tmp_path / "again", (), port)
 
 
 def test_in_the_process_of_the_truth_cheats_reach_it(tmp_path: Path) -> None:

@@ -23,15 +23,22 @@ from typing import IO, Any, Final
 
 import numpy as np
 
+from sysid_bench.errors import UsageError
 from sysid_bench.experiments.blind_data import method_data
 from sysid_bench.experiments.job_channel import MethodEnd, ProcessEnd, peak_memory
 from sysid_bench.experiments.spec import SEEDS
 from sysid_bench.experiments.third_party import loaded_sources
-from sysid_bench.harness.work.confinement import NAMESPACES, PROCESS, hide_memory
-from sysid_bench.harness.work.process_tree import MARK, child_of, kill_subtree, memory_use
+from sysid_bench.harness.work.confinement import hide_memory
+from sysid_bench.harness.work.process_tree import (
+    MARK,
+    child_of,
+    kill_subtree,
+    memory_use,
+    tree_of,
+)
 from sysid_bench.harness.work.run_process import end_of_process
 from sysid_bench.types import Estimate, Experiment, Problem
-from sysid_bench.words import STATUSES
+from sysid_bench.words import NAMESPACES, PROCESS, STATUSES
 
 try:
     import resource
@@ -114,15 +121,18 @@ class BlindMethod:
         return _estimate(answer["estimate"])
 
     def _cpu(self) -> float:
-        """CPU seconds of the process; its children count once they have ended."""
+        """CPU seconds of the process and of all that it has started."""
         if sys.platform != "linux":
             return time.perf_counter()  # the wall clock bounds it from above
-        with contextlib.suppress(OSError):
-            # clock_getcpuclockid(3) of another process
-            own = time.clock_gettime((~self._pid << 3) | 2)
-            fields = Path(f"/proc/{self._pid}/stat").read_text().rpartition(")")[2].split()
-            return own + sum(map(int, fields[13:15])) / os.sysconf("SC_CLK_TCK")
-        return 0.0
+        seconds = 0.0
+        # All that it has started, also what has left its parents.
+        for process in (self._process.pid, *tree_of(self._process.pid)):
+            with contextlib.suppress(OSError, IndexError):
+                # clock_getcpuclockid(3) of another process; children that it has waited for
+                seconds += time.clock_gettime((~process << 3) | 2)
+                fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+                seconds += sum(map(int, fields[13:15])) / os.sysconf("SC_CLK_TCK")
+        return seconds
 
     def _send(self, data: bytes) -> None:
         pipe = self._process.stdin
@@ -201,14 +211,13 @@ def blind_method(
         # Messages name a method by its class.
         kind = type(str(estimator["use"]).rpartition(":")[2], (BlindMethod,), {})
         method: BlindMethod = kind(process, simulated)
-        wanted = os.environ.get(ISOLATION, NAMESPACES)
         try:
             method.start(
                 {
                     "hidden": [os.path.abspath(path) for path in hidden if path],
                     "folder": folder,
                     "memory": _free_memory(),
-                    "isolation": wanted,
+                    "isolation": wanted_isolation(),
                     "path": [entry or os.getcwd() for entry in sys.path],
                     "estimator": dict(estimator),
                 }
@@ -223,6 +232,14 @@ def blind_method(
             for pipe in (process.stdin, process.stdout):
                 with contextlib.suppress(OSError):
                     pipe and pipe.close()
+
+
+def wanted_isolation() -> str:
+    """Return the isolation that ISOLATION names; raises UsageError for another word."""
+    wanted = os.environ.get(ISOLATION) or NAMESPACES
+    if wanted not in (NAMESPACES, PROCESS):
+        raise UsageError(f"{ISOLATION} is {wanted!r}; give {NAMESPACES} or {PROCESS}.")
+    return wanted
 
 
 def _free_memory() -> int | None:

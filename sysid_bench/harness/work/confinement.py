@@ -17,9 +17,7 @@ from pathlib import Path
 from typing import Final, NoReturn
 
 from sysid_bench.harness.work.process_tree import kill_with
-
-NAMESPACES, PROCESS = "namespaces", "process"
-"""Isolation of a method: all of the above, or a fresh process alone."""
+from sysid_bench.words import NAMESPACES, PROCESS
 
 _NEW_MOUNTS, _NEW_IPC, _NEW_USER = 0x00020000, 0x08000000, 0x10000000
 _NEW_PROCESSES, _NEW_NETWORK = 0x20000000, 0x40000000
