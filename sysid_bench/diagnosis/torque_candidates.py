@@ -31,6 +31,8 @@ WIDEST: Final = 0.5 * float(np.log(10.0))
 """Half of the widest interval of a gain that is one, in the logarithm."""
 SMALLEST: Final = 1.8
 """A smaller gain may be the spread of masses between a model file and its robot as well."""
+GROSS: Final = 10.0
+"""No model file is wrong by a larger one in all of its masses."""
 MASSLESS: Final = 0.01
 """Mass, relative to the heaviest link, that rounding and spread give links without any."""
 KNOWN: Final = {1e3: "mN m for N m", 180 / np.pi: "degrees for radians in a gain"}
@@ -151,7 +153,7 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
         setting_edit(e, "tau", "gain", joint_factors(e.count, joints, factor)), BLIND_GAIN,
         most=ERROR if size >= SMALLEST else WARNING, estimate=estimate, interval=interval,
         # Links without mass fit small torques as well, at no cost but the prior's.
-        is_gross=len(joints) == e.count and interval[0] > SMALLEST and e.placeholder == "",
+        is_gross=len(joints) == e.count and interval[0] > GROSS and e.placeholder == "",
     )  # fmt: skip
 
 

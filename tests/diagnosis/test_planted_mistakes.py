@@ -41,19 +41,19 @@ def test_the_right_cause_is_named_first() -> None:
     harmful = [case for case in planted() if case.is_harmful]
     missed = "\n".join(line(case) for case in harmful if not case.named)
     assert len(harmful) > 50
-    assert np.mean([case.named for case in harmful]) >= 0.6, missed
+    assert np.mean([case.named for case in harmful]) >= 0.7, missed
 
 
 @pytest.mark.long
 def test_no_factor_is_absurd() -> None:
     absurd = [line(case) for case in planted() if case.absurd]
-    assert len(absurd) <= 8, absurd
+    assert len(absurd) <= 3, absurd
 
 
 @pytest.mark.long
 def test_harmless_changes_are_not_refused() -> None:
     refused = [line(case) for case in planted() if case.is_harmless and case.refused]
-    assert len(refused) <= 2, refused
+    assert not refused
 
 
 @pytest.mark.long
@@ -64,7 +64,7 @@ def test_a_recording_without_a_mistake_is_not_refused() -> None:
         for name, motion in recorded_motions()
         if not diagnose(f"dataset:{name}/{motion}", f"dataset:{name}").ok
     }
-    assert refused <= {"tx40", "double_pendulum_c"}
+    assert refused <= {"double_pendulum_c"}
 
 
 @pytest.mark.parametrize("motion", ["multisine"])
