@@ -164,9 +164,11 @@ def _cause(size: float, half: float) -> str:
         return "a drive constant, or links that are as much heavier or lighter than in the file"
     if size <= 20:
         return "a drive constant or a gear"
-    cause = "a unit, a gear ratio or a drive constant"
-    known = (text for k, text in KNOWN.items() if max(abs(np.log(size / k)), half) < CLOSE)
-    return next(known, cause)
+    known = next((text for k, text in KNOWN.items() if abs(np.log(size / k)) < CLOSE), "")
+    if known and half < CLOSE:
+        return known
+    # A wide interval holds gear ratios and drive constants as well.
+    return f"a unit{f' ({known})' if known else ''}, a gear ratio or a drive constant"
 
 
 def tool_load(before: Hypothesis) -> Iterator[Candidate]:
