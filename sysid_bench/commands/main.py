@@ -59,9 +59,9 @@ class Verbs(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        verbs = self._verbs()
-        if args and args[0] not in verbs and args[0][:1].isalpha():
-            error = unknown_name("verb", args[0], verbs, f"All: {ctx.command_path} --help.")
+        if args and args[0][:1].isalpha() and self.get_command(ctx, args[0]) is None:
+            advice = f"All: {ctx.command_path} --help."
+            error = unknown_name("verb", args[0], self._verbs(), advice)
             click.echo(f"sysid-bench: {error}", err=True)
             ctx.exit(USAGE)
         return super().resolve_command(ctx, args)

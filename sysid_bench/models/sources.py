@@ -169,8 +169,13 @@ def model_files(folder: Path, scenes: bool = False) -> list[Path]:
 
 
 def check_model_file(file: Path) -> None:
-    """Raise ModelError for a file that is not a URDF and not an MJCF, by its root element."""
+    """Raise ModelError for a file that is not a URDF and not an MJCF, by its root element.
+
+    Broken XML passes: its robot fails alone, with the place of the error.
+    """
     root = _outline(file).root
+    if not root and is_file(file) and file.read_bytes().lstrip().startswith(b"<"):
+        return
     if root not in ("robot", "mujoco"):
         found = f"its root element is <{root}>" if root else "it cannot be read as XML"
         raise ModelError(f"{file} is neither URDF nor MJCF: {found}.")
