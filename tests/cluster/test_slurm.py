@@ -42,7 +42,7 @@ def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def nodes(folder: Path) -> set[str]:
-    """Nodes on which cells of the third-party method were computed."""
+    """Nodes on which the third-party metric was computed."""
     return {file.name for file in (folder / "nodes").iterdir()}
 
 
