@@ -58,6 +58,7 @@ EXCEPTIONS = {
                 "sysid_bench.harness.work.confinement",
                 "sysid_bench.identification.identify",
                 "sysid_bench.plugin_names",
+                "sysid_bench.words",
             )
         ),
         "libraries are loaded in the confined process alone: they start threads and take memory",

@@ -70,10 +70,11 @@ class JobChannel(Protocol):
         """Pass a JSON value on to the caller of this job, while it goes on."""
 
     def blind_method(
-        self, estimator: Mapping[str, Any], *, simulated: bool
+        self, estimator: Mapping[str, Any], *, simulated: bool, sealed: bool
     ) -> AbstractContextManager[Method]:
         """A third-party estimator {use, settings} in a process of its own, started fresh, that
-        never held the truth and ends with the context. Its calls raise MethodEnd."""
+        never held the truth and ends with the context. Its calls raise MethodEnd; so does the start
+        of one of a `sealed` plant without namespaces, before any code of the method runs."""
 
     def run_process(
         self, function: Callable[["JobChannel"], Any], heads: Mapping[str, Row]

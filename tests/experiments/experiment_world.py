@@ -149,9 +149,9 @@ class Collected:
         raise AssertionError("an experiment reports rows alone")
 
     def blind_method(
-        self, estimator: Mapping[str, Any], *, simulated: bool
+        self, estimator: Mapping[str, Any], *, simulated: bool, sealed: bool
     ) -> AbstractContextManager[Method]:
-        return blind_method(estimator, MODELS / "no run", simulated=simulated)
+        return blind_method(estimator, MODELS / "no run", simulated=simulated, sealed=sealed)
 
     def run_process(
         self, function: Callable[[JobChannel], Any], heads: Mapping[str, Row]

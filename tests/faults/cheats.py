@@ -206,3 +206,14 @@ class Child(_Cheat):
             os._exit(0)
         os.read(done, 1)
         return False
+
+
+class ForgesAnswers(_Cheat):
+    """Answers in the place of its process while it solves."""
+
+    def reach(self, problem: Any) -> bool:
+        forged = b'{"modules": 5}\n{"calls": 5}\n{"modules": [[1], "x", ["a"]]}\n'
+        for descriptor in range(3, 16):
+            with contextlib.suppress(OSError):
+                os.write(descriptor, forged)
+        return False

@@ -134,15 +134,22 @@ def test_the_time_of_a_process_that_was_left_counts(tmp_path: Path, port: int) -
     assert 0.9 < found["Child"]["seconds_cpu"] < 5.0
 
 
+def test_forged_answers_cost_their_own_cell(tmp_path: Path, port: int) -> None:
+    found = rows_with(tmp_path, ("ForgesAnswers",), port)
+    assert {found[name]["status"] for name in ("ols", "Honest")} == {"ok"}
+    assert scores(found["ForgesAnswers"]) == scores(found["Honest"])
+
+
 def test_a_sealed_plant_needs_namespaces(
     tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(SEEDS, str(tmp_path / "seeds.txt"))
     monkeypatch.setenv(ISOLATION, "process")
-    found = rows_with(tmp_path, ("SeedFile",), port, '"file:sealed.toml"')
+    found = rows_with(tmp_path, ("SeedFile", "ForgesAnswers"), port, '"file:sealed.toml"')
     assert found["ols"]["status"] == "ok"
-    assert found["SeedFile"]["status"] == "failed"
-    assert "namespaces" in found["SeedFile"]["reason"]
+    for name in ("SeedFile", "ForgesAnswers"):
+        assert found[name]["status"] == "failed"
+        assert "namespaces" in found[name]["reason"]
     monkeypatch.setenv(ISOLATION, "bogus")
     with pytest.raises(UsageError, match="'bogus'; give namespaces or process"):
         rows_with(tmp_path / "again", (), port)

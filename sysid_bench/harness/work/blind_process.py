@@ -23,7 +23,7 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.blind_data import method_data
 from sysid_bench.experiments.job_channel import MethodEnd, ProcessEnd, peak_memory
 from sysid_bench.experiments.spec import SEEDS
@@ -60,6 +60,11 @@ _CONFINEMENT: Final = 50_000_000
 """Bytes of the two processes around a confined one, and a margin."""
 _GRACE_SECONDS: Final = 2.0
 
+SEALED_NEEDS: Final = (
+    "The plant is sealed, and this system gives a method no namespaces of its own (see isolation): "
+    "it could read the seed. Run the cell on Linux with user namespaces."
+)
+
 
 class BlindMethod:
     """Estimator whose `solve` and `fit`, where the method has them, run in its process.
@@ -88,11 +93,15 @@ class BlindMethod:
         """
         self._send(json.dumps(head).encode() + b"\n")
         self.isolation = str(self._next("isolation")["isolation"])
+        if head["sealed"] and self.isolation == PROCESS:
+            raise MethodEnd(ProcessEnd("failed", SEALED_NEEDS))
         confined = self.isolation == NAMESPACES
         # Confined, it is the child of the first process of its namespace.
         inner = child_of(child_of(self._process.pid)) if confined else self._process.pid
         self._pid = inner or self._process.pid
-        self.calls = tuple(self._next("calls")["calls"])
+        # The method's code has run: what comes may be its own.
+        calls = self._next("calls")["calls"]
+        self.calls = tuple(name for name in ("solve", "fit") if name in str(calls))
 
     def used_seconds(self) -> tuple[float, float]:
         """Seconds and CPU seconds of all calls."""
@@ -117,7 +126,6 @@ class BlindMethod:
         answer = self._next("estimate")
         self.seconds += time.perf_counter() - start
         self.seconds_cpu += self._cpu() - cpu_start
-        self.sources = loaded_sources(answer.get("modules", ()))
         return _estimate(answer["estimate"])
 
     def _cpu(self) -> float:
@@ -153,8 +161,7 @@ class BlindMethod:
                 answer = None  # one of its children may keep the pipe open
             if answer is None:
                 raise MethodEnd(self._end())
-            if "modules" in answer:
-                self.sources = loaded_sources(answer["modules"])
+            self.sources = loaded_sources(_modules(answer)) or self.sources
             match answer.get("error"):
                 case [str(status), str(reason), str(text)] if status in STATUSES:
                     raise MethodEnd(ProcessEnd(status, reason, text))
@@ -188,7 +195,7 @@ def _messages(pipe: IO[bytes]) -> Iterator[dict[str, Any]]:
 
 @contextmanager
 def blind_method(
-    estimator: Mapping[str, Any], run_folder: Path, *, simulated: bool
+    estimator: Mapping[str, Any], run_folder: Path, *, simulated: bool, sealed: bool
 ) -> Iterator[BlindMethod]:
     """Start the process of an estimator {use, settings} and end it with all that it has started.
 
@@ -200,14 +207,19 @@ def blind_method(
     with tempfile.TemporaryDirectory(prefix="sysid_method_", ignore_cleanup_errors=True) as folder:
         environment = {key: os.environ[key] for key in _INHERITED if key in os.environ}
         hide_memory(True)  # until it is known that nobody can look
-        process = subprocess.Popen(
-            [sys.executable, "-m", "sysid_bench.harness.work.blind_worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            cwd=folder,
-            env={**environment, "TMPDIR": folder, "HOME": folder},
-            start_new_session=True,
-        )
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "sysid_bench.harness.work.blind_worker"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                cwd=folder,
+                env={**environment, "TMPDIR": folder, "HOME": folder},
+                start_new_session=True,
+            )
+        except OSError as error:  # no process or descriptor is left on this machine
+            hide_memory(False)
+            reason = f"its process could not be started ({reason_of(error)})"
+            raise MethodEnd(ProcessEnd("lost", reason)) from error
         # Messages name a method by its class.
         kind = type(str(estimator["use"]).rpartition(":")[2], (BlindMethod,), {})
         method: BlindMethod = kind(process, simulated)
@@ -218,6 +230,7 @@ def blind_method(
                     "folder": folder,
                     "memory": _free_memory(),
                     "isolation": wanted_isolation(),
+                    "sealed": sealed,
                     "path": [entry or os.getcwd() for entry in sys.path],
                     "estimator": dict(estimator),
                 }
@@ -254,6 +267,16 @@ def _free_memory() -> int | None:
     if limit == resource.RLIM_INFINITY:
         return None
     return max(int(limit - memory_use(os.getpid(), 0.0)) - _CONFINEMENT, _CONFINEMENT)
+
+
+def _modules(answer: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield (name, file) of the modules of an answer, leaving out what a method may have written
+    in their place."""
+    modules = answer.get("modules")
+    for one in modules if isinstance(modules, list) else ():
+        match one:
+            case [str(name), str(file)]:
+                yield name, file
 
 
 def _estimate(found: Any) -> Estimate:

@@ -1,6 +1,6 @@
 """Process of one third-party method, `python -m sysid_bench.harness.work.blind_worker`.
 
-In: a line {folder, hidden, memory, isolation, path, estimator}, then for each call a line
+In: a line {folder, hidden, memory, isolation, sealed, path, estimator}, then for each call a line
 {call, bytes}, the data of the method (`method_data`) and, once it has answered {ready}, an empty
 line. Out, as JSON lines: {isolation}; {calls} of the method; for each call {ready}, then
 {estimate, modules} or {error: [status, reason, traceback], modules}. It started fresh and never
@@ -28,11 +28,14 @@ def main() -> None:
 
     # Before the libraries are loaded, which takes memory, and threads, which no fork has.
     from sysid_bench.harness.work.confinement import confine
+    from sysid_bench.words import PROCESS
 
     isolation = confine(head["folder"], head["hidden"], head["isolation"])
     global _process
     _process = os.getpid()
     _answer(answers, {"isolation": isolation})
+    if head["sealed"] and isolation == PROCESS:
+        return  # before any code of the method, which could read the seed
     if head["memory"] is not None:
         import resource
 

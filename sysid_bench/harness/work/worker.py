@@ -182,9 +182,9 @@ class _Channel:
         self.open_cells.discard(row["id"])
 
     def blind_method(
-        self, estimator: Mapping[str, Any], *, simulated: bool
+        self, estimator: Mapping[str, Any], *, simulated: bool, sealed: bool
     ) -> AbstractContextManager[Method]:
-        return blind_method(estimator, self.run_folder, simulated=simulated)
+        return blind_method(estimator, self.run_folder, simulated=simulated, sealed=sealed)
 
     def run_process(
         self, function: Callable[[JobChannel], Any], heads: Mapping[str, Row]
