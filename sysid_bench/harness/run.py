@@ -32,7 +32,7 @@ from sysid_bench.harness.suite.load_suite import (
 )
 from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.work.blind_process import wanted_isolation
+from sysid_bench.harness.work.confinement import wanted_isolation
 from sysid_bench.harness.work.row_files import ROWS_DIGEST, rows_digest
 from sysid_bench.harness.work.supervise import Ending, OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
@@ -103,9 +103,10 @@ def run(
     # An executor that is not there is an error before the suite is read.
     chosen = executor_of(executor)
     source, overrides = suite_or_folder, overrides or {}
-    if not isinstance(source, Suite) and is_folder(Path(source)):
+    is_stored = not isinstance(source, Suite) and is_folder(Path(source))
+    if is_stored:
         # A run that is named goes on with its frozen suite, whatever its file says today.
-        folder = _open_run(Path(source), out, overrides)
+        folder = _open_run(Path(str(source)), out, overrides)
     else:
         with nullcontext(names) if names else worker_names(robots_dir) as known:
             suite = source
@@ -118,7 +119,8 @@ def run(
     third_party = third_party_names(folder.suite, robots_dir)
     if note := code_note(third_party):
         on_event("code", {"note": note})  # before any of it runs in a cell
-    return _run_selected(request, folder, chosen, on_event, bool(third_party))
+    # The plan of a run that somebody else gave may name code that its suite does not.
+    return _run_selected(request, folder, chosen, on_event, is_stored or bool(third_party))
 
 
 @dataclass(frozen=True)

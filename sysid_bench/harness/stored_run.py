@@ -441,7 +441,7 @@ def frames_of_run(
             # Growth by a factor keeps the work of all consolidations in proportion to the rows.
             due = int(_GROWTH * size) + FEW_BYTES
             process = subprocess.Popen(
-                [sys.executable, "-m", __name__, str(folder.path), str(os.getpid())],
+                [sys.executable, "-P", "-m", __name__, str(folder.path), str(os.getpid())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
