@@ -12,7 +12,7 @@ from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.comparison.run_values import ROUNDING
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.work.row_files import RowStart, hash_error
+from sysid_bench.harness.work.row_files import ROWS_DIGEST, RowStart, hash_error, rows_digest
 from sysid_bench.words import MACHINE_FIELDS
 
 _WORTH: Final = ("ok", "unsupported", "skipped", "failed", "crash", "memory", "timeout", "lost")
@@ -67,6 +67,7 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
             # Only places are in memory; the rows of all runs together may be larger than it.
             best = min(candidates[cell], key=lambda row: _WORTH.index(row.status))
             writer.write(best.place.read())
+    folder.write_environment(folder.environment | {ROWS_DIGEST: rows_digest(out / "cells")})
     _copy_artifacts(folders, out)
     folder.write_frames()
     return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice, rounded)
@@ -119,10 +120,11 @@ def _same_plan(folders: Sequence[RunFolder]) -> tuple[str, ...]:
 
 def _environment(folders: Sequence[RunFolder]) -> dict[str, Any]:
     """Return the environment of the first run, with those of all as `machines`."""
-    every = [folder.environment for folder in folders]
-    machines = [entry for env in every for entry in env.get("machines", [env])]
+    of_run = ("machines", ROWS_DIGEST)
+    found = chain.from_iterable(folder.machines for folder in folders)
+    machines = [{key: x for key, x in one.items() if key not in of_run} for one in found]
     unique = {canonical(machine): machine for machine in machines}
-    return {**every[0], "machines": list(unique.values())}
+    return {**machines[0], "machines": list(unique.values())}
 
 
 def _copy_artifacts(folders: Sequence[RunFolder], out: Path) -> None:

@@ -18,6 +18,7 @@ from typing import Any, Final, Literal
 
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
+from sysid_bench.experiments.spec import SEEDS
 from sysid_bench.experiments.third_party import NO_PARTS, third_party_parts
 from sysid_bench.harness.cell import Cell, PlannedRow, fields
 from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
@@ -107,6 +108,8 @@ def run(
     if is_stored:
         # A run that is named goes on with its frozen suite, whatever its file says today.
         folder = _open_run(Path(str(source)), out, overrides)
+        if os.environ.get(SEEDS):  # a maintainer runs the sealed cells of a submission
+            folder.check_path()
     else:
         with nullcontext(names) if names else worker_names(robots_dir) as known:
             suite = source

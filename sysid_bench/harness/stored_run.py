@@ -170,6 +170,19 @@ class RunFolder:
             raise missing_run(path)
         return cls(path)
 
+    def check_path(self) -> None:
+        """Raise UsageError where Python looks for modules in this folder: of a run that somebody
+        else gave, a file with the name of a library, or sitecustomize.py, would be part of the
+        processes that hold the truth."""
+        here = self.path.resolve()
+        for entry in (entry or os.getcwd() for entry in sys.path):
+            if Path(entry).resolve().is_relative_to(here):
+                raise UsageError(
+                    f"Python looks for modules in {entry!r}, and would take those of "
+                    f"{str(self.path)!r} for its own: leave that folder, or take it out of "
+                    "PYTHONPATH. Methods in it are named 'file:mine.py:Mine'."
+                )
+
     @cached_property
     def suite(self) -> Suite:
         """The suite as it was frozen."""
@@ -203,6 +216,13 @@ class RunFolder:
     def environment(self) -> dict[str, Any]:
         """Versions, CPU, BLAS and git of the machine that last ran cells."""
         return self._read_object("env.json")
+
+    @property
+    def machines(self) -> list[dict[str, Any]]:
+        """What `environment` says of each machine that has computed rows."""
+        others = self.environment.get("machines", [])
+        listed = others.values() if isinstance(others, dict) else others
+        return [self.environment, *(one for one in listed if isinstance(one, dict))]
 
     @property
     def models(self) -> dict[str, ModelRecord]:

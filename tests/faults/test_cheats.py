@@ -356,7 +356,7 @@ def test_files_of_the_working_folder_replace_no_library(tmp_path: Path) -> None:
     text = suite_of_hooks(tmp_path, '"matched"').partition("[[estimator]]")[0]
     text += '[[estimator]]\nuse = "ols"\n[[estimator]]\nuse = "mine:Honest"\n'
     (tmp_path / "suite.toml").write_text(text)
-    command = [Path(sys.executable).with_name("sysid-bench"), "run", "suite.toml", "-o", "run"]
+    command = [str(Path(sys.executable).with_name("sysid-bench")), "run", "suite.toml", "-o", "run"]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run(
         command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False

@@ -69,7 +69,7 @@ def main() -> None:
         return
     # Before the first thread: a fork goes on with the calling thread alone.
     start_process(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
-    if settings["confined"]:
+    if settings.get("confined"):
         confine(*settings["confined"])
     if settings["memory"] is not None and resource is not None:
         # Allocations beyond the limit raise MemoryError, in this process and its forks.
