@@ -274,11 +274,13 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
 def read_manifest(file: Path) -> Manifest:
     """Read the manifest in a robot.toml; raises one ModelError that lists all its errors."""
     keys = read_toml(file, ModelError)
-    if "schema" in keys and "file" not in keys:  # one sentence in place of one for each key
-        raise ModelError(
-            f"{file} is not a robot.toml, which has the keys name and file: it has schema, as a "
-            "suite has."
-        )
+    # One sentence in place of one for each key.
+    for key, kind in (("schema", "a suite"), ("q", "the description of a recording")):
+        if key in keys and not {"name", "file"} <= keys.keys():
+            raise UsageError(
+                f"{file} is {kind} (it has the key {key}), not a robot: give a robot's name, a "
+                "URDF or MJCF file, or a robot.toml, which has the keys name and file."
+            )
     written = _checked_keys(keys, file)
     return _manifest(written, file, *_model_path(written.file, file))
 

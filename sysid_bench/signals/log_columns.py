@@ -93,8 +93,11 @@ def find_columns(tables: Tables, robot: RobotModel, joints: Sequence[str]) -> Fo
             signals["q_des"] = _commands(file, table, joints)
     files = tuple(name for name, _ in measured)
     if bare:
-        return _by_numbers(measured[0], robot, joints, signals)
-    if _has_signal_per_file(measured):
+        of_numbers = _by_numbers(measured[0], robot, joints, signals)
+        # Without positions, a file of one signal, whose name says of which.
+        if "q" in of_numbers.signals or role_of(Path(measured[0][0]).stem) == "unexplained":
+            return of_numbers
+    if bare or _has_signal_per_file(measured):
         files = ()
         found = _by_files(measured, joints)
     else:
@@ -221,7 +224,8 @@ def _by_columns(tables: Tables, joints: Sequence[str]) -> dict[str, Columns]:
 
 def _by_files(tables: Tables, joints: Sequence[str]) -> dict[str, Columns]:
     """Return where signals stand, one file each, by the names of the files."""
-    found = {}
+    lengths = [len(x.values) for file, x in tables if is_signal(Path(file).stem, "time")]
+    found: dict[str, Columns] = {}
     for signal in (*SIGNALS, "time"):
         for file, table in tables:
             stem = Path(file).stem
@@ -229,18 +233,20 @@ def _by_files(tables: Tables, joints: Sequence[str]) -> dict[str, Columns]:
             if signal == "time":  # that of the start stands in every row
                 fits = fits and _rises(table.values[:, 0])
             if fits and signal not in found:
-                found[signal] = _whole_file(file, table, signal, joints)
+                # Numbers one a line are as many columns as there are for each stamp.
+                per_stamp = {len(table.values) // n for n in lengths if len(table.values) % n == 0}
+                k = min(per_stamp - {0}, default=len(joints))
+                found[signal] = _whole_file(file, table, signal, k)
     return found
 
 
-def _whole_file(file: str, table: LogTable, signal: str, joints: Sequence[str]) -> Columns:
+def _whole_file(file: str, table: LogTable, signal: str, k: int) -> Columns:
     """Return the columns of a file of one signal, with its own stamps; one column is a list of
-    samples."""
+    samples of k numbers."""
     width = table.values.shape[1]
     if signal == "time":
         return Columns(list(range(1, width + 1)), table.values, file)
     if width == 1:
-        k = len(joints)
         return Columns(list(range(1, k + 1)), table_of_rows(table, k).values, file, k)
     name = column_names.time_column(table.names)
     place = 0 if not table.names and _rises(table.values[:, 0]) else None
@@ -274,7 +280,7 @@ def _commands(file: str, table: LogTable, joints: Sequence[str]) -> Columns:
     """Return the commanded positions in a file of commands."""
     names = column_names.columns_of_signal(table.names, "q", joints)
     names = names or column_names.command_columns(table.names, joints)
-    whole = _whole_file(file, table, "q_des", joints)
+    whole = _whole_file(file, table, "q_des", len(joints))
     if not names:
         return whole
     return Columns(names, table.columns(names), file, time=whole.time)

@@ -11,10 +11,10 @@ import numpy as np
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import column_names
-from sysid_bench.signals.column_names import words_of
+from sysid_bench.signals.column_names import role_of, words_of
 from sysid_bench.signals.column_roles import DOUBT
 from sysid_bench.signals.log_checks import check_finite, check_rates
-from sysid_bench.signals.log_columns import Columns, Tables, find_columns, stamp_unit
+from sysid_bench.signals.log_columns import Columns, Found, Tables, find_columns, stamp_unit
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.signals.log_keys import GAIN_ADVICE, find_preset, preset_keys
 from sysid_bench.signals.log_samples import scalar_kinds
@@ -90,7 +90,7 @@ def guess_log(tables: Tables, robot: RobotModel) -> LogGuess:
     where = find_columns(tables, robot, joints)
     found, files = where.signals, list(where.files)
     if "q" not in found:
-        raise _no_positions(tables, "tau" in found)
+        raise _incomplete(tables, where)
     of_files = [_GuessedKey("file", files[0] if len(files) == 1 else files)] if files else []
     of_joints = _joints(found["q"], joints, tables)
     of_time, rate = _time(found, tables)
@@ -105,6 +105,9 @@ def guess_log(tables: Tables, robot: RobotModel) -> LogGuess:
         proposal = controlled.value
     else:
         lacks = NO_TORQUE
+        # A recording in several files, of which not all are named.
+        if not tables[0][1].names and _other_files(tables):
+            raise _incomplete(tables, where)
     entries = (*of_files, of_joints, *of_time, *signals)
     return LogGuess(entries, lacks, where.unused, where.explained, proposal)
 
@@ -125,15 +128,27 @@ def _controlled(
     )
 
 
-def _no_positions(tables: Tables, has_torques: bool) -> UsageError:
+def _incomplete(tables: Tables, where: Found) -> UsageError:
     names = list(chain.from_iterable(table.names for _, table in tables))
-    listed = f"are {first_names(names, 8)}" if names else "have no names"
-    absent = "positions" if has_torques else "positions and no torques or currents"
+    listed = f"its columns are {first_names(names, 8)}" if names else "; ".join(where.explained)
+    absent = {"q": "positions", "tau": "torques or currents"}
+    lacking = " and no ".join(word for key, word in absent.items() if key not in where.signals)
     return UsageError(
-        f"{', '.join(file for file, _ in tables)}: no {absent} can be found: its columns "
-        f"{listed}. A log needs positions and torques (or motor currents); name all its files, "
-        "or write the description by hand: joints, q = { columns = [...] }, tau."
+        f"{', '.join(file for file, _ in tables)}: no {lacking} can be found"
+        f"{': ' * bool(listed)}{listed}. A log needs positions and torques (or motor currents): "
+        f"name all its files{_other_files(tables)}, or write the description by hand: joints, q = "
+        "{ columns = [...] }, tau."
     )
+
+
+def _other_files(tables: Tables) -> str:
+    """Return the files beside those of `tables` that hold signals by their names, "" where none
+    does."""
+    known = {table.path.name for _, table in tables}
+    beside = sorted(tables[0][1].path.parent.glob(f"*{tables[0][1].path.suffix}"))
+    roles = {path.name: role_of(path.stem) for path in beside if path.name not in known}
+    listed = [f"{name} ({role})" for name, role in roles.items() if role != "unexplained"]
+    return f", of which {first_names(listed, 6)} lie beside it" if listed else ""
 
 
 def scalar_joints(robot: RobotModel) -> list[str]:
@@ -222,7 +237,8 @@ def _signals(
         reason = f"{DOUBT}v and the differences of q do not agree; the unit of q is taken"
         for tried, size in (("rad/s", 1.0), ("deg/s", np.pi / 180.0)):
             measured = _agreeing_rate(q.values[:rows] * scale, v.values[:rows] * size, rate)
-            if measured is not None and abs(measured / rate - 1) < 0.2:
+            # Lost samples halve the mean rate; deg/s and rad/s are 57 apart.
+            if measured is not None and 1 / 3 < measured / rate < 3:
                 unit_v, reason = tried, "v and the differences of q agree in it"
                 break
         yield _GuessedKey("v", v.table(units(unit_v, "m/s")), v.said(reason))

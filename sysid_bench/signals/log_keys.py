@@ -298,6 +298,16 @@ class LogKeys(_Table):
     """Position of joints that did not move, rad or m."""
 
 
+_MISSING: Final = {
+    "tau": (
+        ": write tau = { columns = [7, 8], unit = 'N m' } with the columns of the torques, unit = "
+        "'A' and gain for currents; or, of commands and positions alone, tau = { pd = { q_des = { "
+        "columns = [9, 10] }, kp = [..], kd = [..] } } with the gains of the position controller"
+    )
+}
+"""Way on from a missing key."""
+
+
 def check_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKeys:
     """Return the keys once their names and types fit; raises UsageError with all mistakes, and
     `advice` where a signal is missing."""
@@ -312,7 +322,7 @@ def check_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKe
                 unknown = unknown_name("key of a log description", key, _known_keys(problem["loc"]))
                 lines.append(str(unknown).rstrip("."))
             elif problem["type"] == "missing":
-                lines.append(f"{key} is missing")
+                lines.append(f"{key} is missing{_MISSING.get(key, '')}")
             else:
                 values.append(problem)
         lines += [f"{key}: {text}" for key, text in value_errors(values).items()]

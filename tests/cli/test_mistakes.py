@@ -50,7 +50,7 @@ RUNS = {
     "lint absent.urdf": "The model file 'absent.urdf' does not exist",
     "lint folder": "'folder' holds no robot.toml and no URDF or MJCF model",
     "lint b.json": "'b.json' is not a model file (.urdf, .xml, .mjcf) and not a robot.toml.",
-    "lint s.toml": "s.toml is not a robot.toml, which has the keys name and file: it has schema",
+    "lint s.toml": "s.toml is a suite (it has the key schema), not a robot",
     "lint broken.toml": "broken.toml is not valid TOML",
     "cells run --sort torque_eror": "'torque_error'",
     "cells run --show torque_eror": "'torque_error'",
@@ -67,6 +67,7 @@ RUNS = {
 }
 MODELS = {
     "crosscheck pandda": "'panda'",
+    "crosscheck ur5 run.toml": "run.toml is the description of a recording (it has the key q)",
     "crosscheck pand.sdf": "its suffix is not of a model file: give a URDF or MJCF file",
     "basis ur5.xacro": "or the robot 'ur5'",
     "bsis ur5": "No verb is called 'bsis'. Did you mean 'basis'?",

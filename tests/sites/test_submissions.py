@@ -334,7 +334,7 @@ def test_a_plan_of_another_suite_and_a_changed_line_are_refused(
     plan = (folder / "plan.jsonl").read_text()
     (folder / "plan.jsonl").write_text(plan.replace('"robot": "scara"', '"robot": "ur5"', 1))
     (file,) = [path for path in (folder / "cells").glob("*.jsonl") if path.stat().st_size]
-    file.write_bytes(file.read_bytes().replace(b'"torque_error": 0.0', b'"torque_error": 0.00', 1))
+    file.write_bytes(file.read_bytes().replace(b'"torque_error":0.0', b'"torque_error":0.00', 1))
     (check,) = site(submissions=[folder], seed=1, jobs=1).checks
     assert check.planned == [RunFolder.open(folder).planned[0]]
     assert len(check.changed) == 1
