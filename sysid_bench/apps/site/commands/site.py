@@ -83,7 +83,7 @@ class Site(Request["SiteResult"]):
         an `out` with other files.
         """
         from sysid_bench.apps.site.site_pages import LEADERBOARD, site_pages
-        from sysid_bench.commands.run_folder import open_run, stale_sentence, write_whole
+        from sysid_bench.commands.run_folder import open_run, row_notes, write_whole
 
         out = None if self.out is None else Path(self.out)
         self._check(out)
@@ -91,7 +91,7 @@ class Site(Request["SiteResult"]):
         for folder in self.runs:
             run = open_run(folder)
             shown = _site_run(run, Path(folder).resolve().name)
-            notes = tuple(filter(None, [stale_sentence(run)]))
+            notes = tuple(filter(None, [row_notes(run)]))
             read.append(replace(shown, notes=notes, submission=read_submission(Path(folder))))
         checks = tuple(
             check_submission(one, self.seed, self.share, self.jobs, self.on_event)
