@@ -475,15 +475,15 @@ def _gate_text(folder: str, baseline: str, changes: "RunDifference", better: int
 
 
 def cell_text(
-    cell: "Cell", row: Mapping[str, Any], baseline: "Baseline | None", folder: str
+    cell: "Cell", row: Mapping[str, Any], baseline: "Baseline | None", run: "RunFolder"
 ) -> str:
-    """Return what is wrong with a row, with the row and the command that computes it again; "" for
-    nothing. Without its cell in a baseline a row has to be ok, and its regressor the one of
-    Pinocchio."""
+    """Return what is wrong with a row of a run, with the row and the command that computes it
+    again; "" for nothing. Without its cell in a baseline a row has to be ok, and its regressor the
+    one of Pinocchio."""
     from sysid_bench.commands.run_folder import rerun_command
 
     wrong: list[str] = []
-    changes = None if baseline is None else _changes_of_row(cell, row, baseline)
+    changes = None if baseline is None else _changes_of_row(cell, row, baseline, run)
     if changes is not None:
         wrong = changes
     elif row["status"] != "ok" or row.get("crosscheck") == "failed":
@@ -491,11 +491,13 @@ def cell_text(
     if not wrong:
         return ""
     facts = [f"{name:<14}{row[name]}" for name in _SHOWN if row.get(name) not in (None, "")]
-    again = f"reproduce: {rerun_command(folder, cell.id)}"
+    again = f"reproduce: {rerun_command(run.path, cell.id)}"
     return "\n\n".join([*wrong, "\n".join(facts), again])
 
 
-def _changes_of_row(cell: "Cell", row: Mapping[str, Any], baseline: "Baseline") -> list[str] | None:
+def _changes_of_row(
+    cell: "Cell", row: Mapping[str, Any], baseline: "Baseline", run: "RunFolder"
+) -> list[str] | None:
     """Tables of what is worse than the baseline; None where it has no such cell."""
     from sysid_bench.commands.changes import largest_first, tables_text
     from sysid_bench.harness.comparison.run_difference import find_difference
@@ -507,8 +509,12 @@ def _changes_of_row(cell: "Cell", row: Mapping[str, Any], baseline: "Baseline") 
     table = row.get("parameters_table") or ()
     truth = true_values(table)
     parameters = {settings_key(first, table): truth} if truth else {}
+    record = run.models.get(values.robot)
     # A run of one cell: partial, so that all others of the baseline do not count as gone.
-    now = replace(known, cells={cell.id: values}, parameters=parameters, heads={cell.id: first})
+    now = replace(
+        known, cells={cell.id: values}, parameters=parameters, heads={cell.id: first},
+        models={values.robot: record["behaviour"]} if record else {},
+    )  # fmt: skip
     changes = find_difference(known, now, baseline.tolerances, partial=True)
     if changes.appeared:
         return None

@@ -18,12 +18,12 @@ from sysid_bench.commands.identify_result import (
     constraint_lines,
     feasible_entry,
     identifiable_of,
-    joint_line,
+    joint_lines,
     solved,
     std_lines,
     warnings_of,
 )
-from sysid_bench.commands.result import file_text, interval_text, value_text
+from sysid_bench.commands.result import file_text, interval_text, short_names, value_text
 from sysid_bench.commands.write_model import DEVIATIONS, check_files, check_output_files
 from sysid_bench.errors import SHOWN, EstimationError, ModelError, UnsupportedError, WriteError
 from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
@@ -85,9 +85,10 @@ class RecordedResult(IdentifyResult):
         reason, spreads = self.prior["reason"], self.prior["spreads"]
         lines = [
             *self._opening_lines(),
-            f"{self.model}, task {self.task}, {self.estimator}: rank {self.rank} "
-            f"of {self.parameters}, condition {value_text(self.condition)}",
             *(_payload_lines(self.payload) if self.payload else ()),
+            self._headline(way_on=self._way_on()),
+            f"  task {self.task}, {self.estimator}: rank {self.rank} "
+            f"of {self.parameters}, condition {value_text(self.condition)}",
             f"  {seconds:.1f} s of training, pipeline {self.signals['pipeline']!r}, "
             f"filter {self.signals['filter']!r}, derivatives {self.signals['derivatives']!r}; "
             f"errors in % of the {self.denominator}",
@@ -102,20 +103,36 @@ class RecordedResult(IdentifyResult):
                 f"  chosen on {self.selection['left_out']}: {names} (mean error there "
                 f"{before:.1f} -> {after:.1f} %)"
             )
-        lines += [*self._error_lines(), *self._baseline_lines()]
-        lines += [joint_line(name, terms) for name, terms in self._of_level(self.joints).items()]
+        lines += self._error_lines()
+        lines += joint_lines(self._of_level(self.joints))
         base = self._of_level(dict(enumerate(self.base))).values()
         lines += [*base_lines([*base]), *std_lines(self.std_from, self.std_limit, self.reach)]
         lines += _constraint_lines(self.constraints) if self.constraints else ()
         lines += _written_lines(self.written) if self.written else ()
         return "\n".join(lines + self._closing_lines())
 
+    def _way_on(self) -> str:
+        """What to do next: judge the answer on another motion, or write its model."""
+        if not self.tests:
+            errors = [one["relative"] for one in self.training.values()]
+            size = np.sqrt(np.mean([error**2 for error in errors if error is not None]))
+            return (
+                f"Torques of the training itself err by {100 * size:.3g} %, which judges nothing: "
+                "give another motion as --test"
+            )
+        writes = find_task(self.task).writes_model and self.model_out is None
+        return "--model-out arm.urdf (or .xml) writes the model" if writes else ""
+
     def _error_lines(self) -> Iterator[str]:
         """A line for each joint, with its error on the first test, and one for each other test."""
         test = next(iter(self.tests.values()), None)
-        yield "  joint                  RMS     train" + ("          test" if test else "")
+        names, left_out = short_names(self.training)
+        width = max(len(f"joint{left_out}"), *map(len, names.values()))
+        yield f"  joint{left_out:{width - 5}}      RMS     train" + (
+            "          test" if test else ""
+        )
         for joint, train in self.training.items():
-            line = f"  {joint:18} {train['rms']:8.4g}  {_error_text(train)}"
+            line = f"  {names[joint]:{width}} {train['rms']:8.4g}  {_error_text(train)}"
             yield line + (f"  {_error_text(test[joint])}" if test else "")
         for label, errors in list(self.tests.items())[1:]:
             yield f"  {label}: {', '.join(_error_text(joint).strip() for joint in errors.values())}"

@@ -54,6 +54,7 @@ class Block:
     columns: tuple[int, ...]
     role: str
     reason: str
+    is_computed: bool = False  # torques of the joints that a controller computes
 
     @property
     def label(self) -> str:
@@ -266,7 +267,7 @@ class _Motion:
                 reason = f"{reason}; not taken beside {self._label(ordered[0])}"
             elif len(ordered) > 1:
                 reason = f"{DOUBT}{reason}, noisier than {self._label(ordered[1])}: measured"
-            blocks.append(Block(self.columns(a), role, reason))
+            blocks.append(Block(self.columns(a), role, reason, role == "command" and is_torque[a]))
         return max((score for score, *_ in found.values()), default=0.0), blocks
 
 

@@ -137,7 +137,7 @@ def test_the_command_prints_the_contract(cli: Run, folder: Path) -> None:
     assert set(result["tests"]) == {"other"}
     result = CliRunner().invoke(main, ["identify", "ur5", *words])
     assert result.exit_code == 0, result.stderr
-    assert "elbow_joint" in result.stdout
+    assert "\n  elbow: viscous" in result.stdout
 
 
 def test_a_contradiction_may_be_accepted(folder: Path, tmp_path: Path) -> None:
