@@ -260,6 +260,17 @@ def seed_of_hash(seal: str) -> str:
     return seeds[seal]
 
 
+def refuse_beside_seeds(what: str) -> None:
+    """Raise UsageError where `what`, code of others that is not confined, could read the file of
+    secret seeds."""
+    if os.environ.get(SEEDS):
+        raise UsageError(
+            f"{what} is code of others that would run where the file of {SEEDS} can be read, and "
+            "with it the truth of sealed plants. With secret seeds estimators of suites alone may "
+            f"be of others; unset {SEEDS} for anything else."
+        )
+
+
 @cache
 def _seeds(file: str) -> dict[str, str]:
     """Seeds of a file by their hash."""
