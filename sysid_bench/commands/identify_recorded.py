@@ -123,7 +123,7 @@ class RecordedResult(IdentifyResult):
         return "\n".join(lines + self._closing_lines())
 
     def _way_on(self) -> str:
-        """What to do next: judge the answer on another motion, or write its model."""
+        """Next step: judge the answer on another motion, or write its model."""
         if not self.tests:
             errors = [one["relative"] for one in self.training.values()]
             size = np.sqrt(np.mean([error**2 for error in errors if error is not None]))
@@ -331,7 +331,7 @@ def _payload(
 
 
 def _stated_load(log: ProcessedLog) -> str:
-    """What is taken as given of a load of unknown mass: where it is, and which shape it has."""
+    """Assumed position and shape of a load of unknown mass."""
     payload, robot, written = log.payload, log.robot, log.log.description.payload
     frame = robot.manifest.tool or robot.body_names[robot.tool_body]
     keys = written if isinstance(written, Mapping) and "use" not in written else None
@@ -367,11 +367,13 @@ def check_torque_units(logs: Sequence[ProcessedLog], accept: Collection[str]) ->
         reason = scale_contradiction(*data, robot, names, sure=True)
         if reason and CURRENT not in accept:
             raise UsageError(
-                f"{described.source}: tau is no torque of joints in N m: {reason} (cure: tau = "
-                "{ unit = 'A', gain = [...] }, or ratio = [...] of the gears). Fix the "
+                f"{described.source}: tau does not hold torques of joints in N m: {reason} (cure: "
+                "tau = { unit = 'A', gain = [...] }, or ratio = [...] of the gears). Fix the "
                 f"description, or go on with --accept {CURRENT}."
             )
-        said += [f"{described.source.name}: tau is no torque of joints: {reason}"] * bool(reason)
+        said += [f"{described.source.name}: tau does not hold torques of joints: {reason}"] * bool(
+            reason
+        )
     return said
 
 

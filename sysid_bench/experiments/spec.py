@@ -76,7 +76,7 @@ class ExperimentSpec:
 
     @property
     def seeded_robot(self) -> str:
-        """What seeds depend on for the robot: its name, or the model of a file that was given by
+        """Identity of the robot for its seeds: its name, or the model of a file that was given by
         its path, since a path can be written in many ways."""
         return self.robot if self.content is None else self.content
 

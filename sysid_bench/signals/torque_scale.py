@@ -1,4 +1,4 @@
-"""Whether a signal follows the torque of the model along a motion, and at which scale."""
+"""Scale of a signal that follows the torque of the model along a motion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,9 +39,9 @@ _ALIKE: Final = 0.3
 def scale_contradiction(
     q: Array, tau: Array, t: Array, robot: RobotModel, joints: Sequence[str], sure: bool = False
 ) -> str:
-    """Return why tau (N, k) is no torque of the joints in N m, "" where it may be one: it has no
-    sign, or follows the model's torque along q (N, k) at another scale; `sure`: a positive one in
-    all joints, since a negative one is another mistake, or that of the model."""
+    """Return the reason for which tau (N, k) is not a torque of the joints in N m, "" where it may
+    be one: it has no sign, or follows the model's torque along q (N, k) at another scale; `sure`: a
+    positive one in all joints, since a negative one is another mistake, or that of the model."""
     rows = ~check_finite(q, tau, t[:, None])
     q, tau, t = q[rows][:_ROWS], tau[rows][:_ROWS], t[rows][:_ROWS]
     if len(tau) and tau.min() >= 0 and (np.ptp(tau, axis=0) > 0).all():

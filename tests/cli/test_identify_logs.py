@@ -169,7 +169,7 @@ def test_currents_declared_as_torques_are_refused(
     """A fit to them is as good on their own motion, and wrong by every gain."""
     monkeypatch.setenv("SYSID_BENCH_DATA", str(data_folder))
     logs = [read_again(motion, gain=(1.0,))]
-    with pytest.raises(UsageError, match=r"no torque of joints in N m.*--accept current"):
+    with pytest.raises(UsageError, match=r"torques of joints in N m.*--accept current"):
         check_torque_units(logs, ("gain",))
     (said,) = check_torque_units(logs, ("current",))
     assert "per N m: a current" in said

@@ -43,7 +43,7 @@ _SCHEMA: Final = 1
 _OWN: Final = ("suites", "robots", "methods")
 """Folders of a site, which are made anew."""
 _FILES: Final = ("run.toml", "plan.jsonl", "env.json", "cells")
-"""What is read of a submission, besides the files that its suite names: tables and data frames are
+"""Files read of a submission, besides the files that its suite names: tables and data frames are
 made from the rows again."""
 _OF_MACHINES: Final = ("timeout", "memory", "crash", "lost")
 """Statuses that another machine need not reproduce; rankings count them as failures."""
