@@ -292,7 +292,7 @@ def test_an_answer_never_replaces_its_model(tmp_path: Path) -> None:
     new = tmp_path / "new.urdf"
     with pytest.raises(UsageError, match="two files"):
         identify(source, "link", model_out=new, json_out=new)
-    with pytest.raises(UsageError, match="folder .* does not exist"):
+    with pytest.raises(UsageError, match=r"folder .* does not exist"):
         identify(source, "link", json_out=tmp_path / "nowhere" / "a.json")
     assert source.read_bytes() == before
     assert not new.exists()
