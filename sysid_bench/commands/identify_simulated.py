@@ -276,10 +276,10 @@ def _inexact_text(scores: Mapping[str, Any], method: Any) -> list[str]:
         return []
     cause = f"the method: {bias}" if (bias := getattr(method, "bias", "")) else "rounding"
     if scores["near_degenerate"] and not bias:
-        cause = "the nearly dependent directions, which the data contain and no base parameter does"
+        cause = "the directions that the rank rule drops are in the data and in no base parameter"
     elif scores["condition"] and not bias:
-        cause = f"rounding, which the condition number {scores['condition']:.1e} magnifies"
-    return [f"exact data, and a torque error of {error:.1e}, by {cause}"]
+        cause = f"the condition number {scores['condition']:.1e} magnifies rounding"
+    return [f"the data are exact, and the torque error is {error:.1e}: {cause}"]
 
 
 def _rounding(beta: Array, beta_true: Array) -> float | None:
