@@ -104,7 +104,9 @@ def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
     if not is_file(file):
         raise UsageError(f"There is no file {str(file)!r} of a recorded motion.")
     try:
-        table = pd.read_csv(io.StringIO(read_text(file))).rename(columns=cell_text)
+        # By default pandas before 3 is inexact in the last digit.
+        table = pd.read_csv(io.StringIO(read_text(file)), float_precision="round_trip")
+        table = table.rename(columns=cell_text)
     except (OSError, ValueError) as error:  # those of pandas are ValueErrors
         raise UsageError(f"{file} is not a table of a recorded motion: {error}.") from error
     missing = [column for column in columns if column not in table]

@@ -184,7 +184,7 @@ def test_names_of_joints_in_a_csv_are_not_formulas_and_read_back() -> None:
 
 def test_csv_and_the_table_read_back() -> None:
     asked = commands(2)
-    table = pd.read_csv(io.StringIO(commands_csv(asked)))
+    table = pd.read_csv(io.StringIO(commands_csv(asked)), float_precision="round_trip")
     for key in ("q", "v", "a", "tau"):
         names = [f"{joint}.{key}" for joint in asked.joints]
         np.testing.assert_array_equal(table[names].to_numpy(), getattr(asked, key))
