@@ -32,6 +32,7 @@ from sysid_bench.harness.work.confinement import hide_memory
 from sysid_bench.harness.work.process_tree import (
     MARK,
     child_of,
+    kill_group,
     kill_subtree,
     memory_use,
     tree_of,
@@ -239,7 +240,7 @@ def blind_method(
             yield method
         finally:
             hide_memory(False)
-            process.kill()
+            kill_group(process)
             process.wait()
             kill_subtree()
             for pipe in (process.stdin, process.stdout):
