@@ -104,8 +104,10 @@ def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
     if not is_file(file):
         raise UsageError(f"There is no file {str(file)!r} of a recorded motion.")
     try:
-        # By default pandas before 3 is inexact in the last digit.
-        table = pd.read_csv(io.StringIO(read_text(file)), float_precision="round_trip")
+        # Before 3.1 pandas is by default inexact in the last digit.
+        old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
+        exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
+        table = pd.read_csv(io.StringIO(read_text(file)), **exact)
         table = table.rename(columns=cell_text)
     except (OSError, ValueError) as error:  # those of pandas are ValueErrors
         raise UsageError(f"{file} is not a table of a recorded motion: {error}.") from error
