@@ -123,11 +123,9 @@ def _robots() -> _Check:
     from sysid_bench.commands.catalogue import entries_of_kind
 
     robots = entries_of_kind("robots")
-    broken = [robot["name"] for robot in robots if robot["title"].startswith("cannot be read")]
-    unread = f"; cannot be read: {', '.join(broken)}" if broken else ""
+    broken = [robot for robot in robots if robot["title"].startswith("cannot be read")]
+    unread = f"; cannot be read: {', '.join(one['name'] for one in broken)}" if broken else ""
     # Descriptions of an optional package are not this installation's fault.
-    needed = not robots or any(
-        "needs example-robot-data" not in one["title"] for one in robots if one["name"] in broken
-    )
+    optional = broken and all("needs example-robot-data" in one["title"] for one in broken)
     ok = bool(robots) and not broken
-    return _Check("robots", ok, f"{len(robots)} robots{unread}", needed)
+    return _Check("robots", ok, f"{len(robots)} robots{unread}", needed=not optional)
