@@ -120,6 +120,7 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
 def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source) -> RobotModel:
     spec = source.spec
     base_repairs = assembly.add_free_base(spec, manifest.name) if free else ()
+    overridden = tuple(joint_terms.overridden_terms(spec, manifest))
     bare = _bare_model(spec, manifest)
     names = _body_names(bare)
     tool, pose = assembly.tool_frame(bare, manifest, names)
@@ -153,7 +154,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         payload_body=body_names.index(load) if payload else None,
         format=source.format,
         text=source.text,
-        repairs=(*source.repairs, *base_repairs, *warnings, *ignored),
+        repairs=(*source.repairs, *overridden, *base_repairs, *warnings, *ignored),
         coupling=coupling,
         motors=source.motors,
     )

@@ -245,7 +245,7 @@ _UNUSED: Final = (
     *("hfields", "skins", "textures", "materials"),
     *("keys", "pairs", "excludes", "sensors", "tuples"),
 )
-"""What only a viewer, a contact or a controller uses; textures would need files."""
+"""Elements that only a viewer, a contact or a controller uses; textures would need files."""
 
 
 def mjcf_spec(

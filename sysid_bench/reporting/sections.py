@@ -87,7 +87,7 @@ def experiment_lines(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tu
 
 
 def _data_texts(plants: set[str]) -> tuple[str, str]:
-    """Where the data of plants come from, and what their torque errors are against."""
+    """Origin of the data of plants, and the reference of their torque errors."""
     if plants == {RECORDED}:
         return "Recorded on robots.", "measured torque of held-out recordings"
     data, against = "Simulated with MuJoCo; no real robot was measured.", _NOISE_FREE
