@@ -171,7 +171,7 @@ def _torques(robot: RobotModel) -> Iterator[_Fact]:
         mujoco.mj_kinematics(mj, data)
         mujoco.mj_comPos(mj, data)
         mujoco.mj_comVel(mj, data)
-        mujoco.mj_rne(mj, data, 1, torque)
+        mujoco.mj_rne(mj, data, True, torque)
     for joint in robot.joints:
         yield joint.name, TORQUE, torques[:, joint.vadr : joint.vadr + len(joint.dofs)].ravel()
 
