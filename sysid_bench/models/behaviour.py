@@ -160,7 +160,7 @@ def _torques(robot: RobotModel) -> Iterator[_Fact]:
             drawn = _draws(f"{joint.name} {state}", 3 * len(joint.dofs) + 4)
             q, v, a = _REACH[kind in (HINGE, BALL)]
             at = slice(joint.vadr, joint.vadr + len(joint.dofs))
-            turn = drawn[-4:] / np.linalg.norm(drawn[-4:])
+            turn = drawn[-4:]  # MuJoCo makes it a unit quaternion
             place = {FREE: [*drawn[:3], *turn], BALL: turn}.get(kind, q * drawn[:1])
             first = joint.qadr
             data.qpos[first : first + COORDINATES[kind]] = place
