@@ -586,7 +586,7 @@ def test_robots_whose_joints_are_not_compared_are_named() -> None:
     ):
         runs = [replace(TWO, models=dict.fromkeys(known, KEPT.models["ur5"]))
                 for known in (before, after)]  # fmt: skip
-        found = find_difference(*runs)
+        found = find_difference(runs[0], runs[1])
         assert found.without_model == named
         assert not found.is_failed
     assert find_difference(replace(TWO, models={}), without("panda")).without_model == ("ur5",)

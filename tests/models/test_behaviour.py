@@ -500,6 +500,21 @@ def test_states_reach_as_far_as_gravity(kind: str, reach: float) -> None:
     assert np.abs(np.mean(found)) < 0.3 * reach
 
 
+def test_rates_are_as_large_as_accelerations() -> None:
+    """Of a mass m = 1 on a slide (r = 1 + q) on a hinge: r^2 a + 2 r v w and b - r v^2."""
+    text = """<mujoco><option gravity="0 0 0"/><worldbody><body>
+      <joint name="{name}" axis="0 0 1"/><joint name="s{name}" type="slide" axis="1 0 0"/>
+      <inertial mass="1" pos="1 0 0" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody></mujoco>"""
+    torques, forces = [], []
+    for name in "abcdefgh":
+        found = behaviour_of(robot_of(text.format(name=name)))
+        torques += found[name][TORQUE]
+        forces += found[f"s{name}"][TORQUE]
+    assert 3.0 < np.abs(torques).max() <= 1.2**2 * 3.0 + 2 * 1.2 * 2.0 * 0.5
+    assert -1.2 * 2.0**2 - 1.0 <= np.min(forces) < -2.5
+    assert 0.5 < np.max(forces) <= 1.0
+
+
 def test_states_turn_balls_and_move_bases() -> None:
     """In a turned body its weight has another moment in each state, none about its own axis."""
     found = {}
