@@ -13,7 +13,7 @@ import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -260,15 +260,6 @@ class RunFolder:
     def row_bytes(self) -> int:
         """Size of the row files."""
         return sum(path.stat().st_size for path in row_files(self._cells))
-
-    @property
-    def line_count(self) -> int:
-        """Number of lines of the row files, of one cell as many as it has rows."""
-        count = 0
-        for path in row_files(self._cells):
-            with path.open("rb") as file:
-                count += sum(block.count(b"\n") for block in iter(partial(file.read, 2**20), b""))
-        return count
 
     def rows(self, cells: Collection[str] | None = None) -> StoredRows:
         """Read the rows stored so far, or those of some cells."""

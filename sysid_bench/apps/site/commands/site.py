@@ -178,7 +178,8 @@ class CheckResult(Result):
     (file:line) that were changed after they were written, and env.json where its digest is of other
     rows; `beside` the plug-ins that are not methods, which see the truth, and `beside_cells` the
     cells that they run in; `elsewhere` the cells whose rows are of other versions than env.json
-    states; `digest`: the SHA-256 of all rows."""
+    states, `contradicting` those with several ok rows of one code that differ; `digest`: the
+    SHA-256 of all rows."""
 
     folder: str
     seed: int
@@ -191,13 +192,14 @@ class CheckResult(Result):
     beside: list[str]
     beside_cells: list[str]
     elsewhere: list[str]
+    contradicting: list[str]
     digest: str
 
     @property
     def ok(self) -> bool:
         """True where nothing differs."""
         found = self.different, self.planned, self.changed, self.beside, self.elsewhere
-        return not any(found)
+        return not any((*found, self.contradicting))
 
     @property
     def share(self) -> "RepeatShare":
@@ -225,10 +227,11 @@ class CheckResult(Result):
                 f"code of others that is not a method, and would see the truth: "
                 f"{first_names(self.beside)}; in the cells {first_names(self.beside_cells)}"
             )
-        if self.elsewhere:
-            lines.append(
-                f"rows of other versions than env.json states: {first_names(self.elsewhere)}"
-            )
+        for what, cells in (
+            ("rows of other versions than env.json states", self.elsewhere),
+            ("cells with ok rows of one code that differ", self.contradicting),
+        ):
+            lines += [f"{what}: {first_names(cells)}"] if cells else []
         lines += (
             f"{one['id']}  {one['metric']}: submitted {one['submitted']}, computed "
             f"{one['computed']}"
@@ -362,6 +365,7 @@ def check_submission(
     not there, on the path of Python, and for cells of sealed plants without their seed.
     """
     from sysid_bench.commands.run_folder import no_rows, open_run
+    from sysid_bench.harness.merge import contradictions
     from sysid_bench.harness.suite.model import Origin
     from sysid_bench.harness.work.row_files import ROWS_DIGEST, rows_digest
 
@@ -384,6 +388,7 @@ def check_submission(
         origin = Origin(folder=str(here), robots=robots)
         suite = run.suite.model_copy(update={"origin": origin})
         beside, beside_cells = _beside_methods(run, suite)
+        contradicting = contradictions(run)
         known, reason = run.planned_fields, ""
         try:
             planned = _not_of_the_suite(run, suite)
@@ -411,6 +416,7 @@ def check_submission(
         beside=beside,
         beside_cells=beside_cells,
         elsewhere=[name for name, row in rows.rows.items() if row.get("versions") not in versions],
+        contradicting=contradicting,
         digest=digest,
     )
 
