@@ -265,9 +265,8 @@ def refuse_beside_seeds(what: str) -> None:
     secret seeds."""
     if os.environ.get(SEEDS):
         raise UsageError(
-            f"{what} is code of others that would run where the file of {SEEDS} can be read, and "
-            "with it the truth of sealed plants. With secret seeds estimators of suites alone may "
-            f"be of others; unset {SEEDS} for anything else."
+            f"{what} is code of others, and could read the seeds of sealed plants here; with seeds "
+            f"estimators of suites alone may be of others: unset {SEEDS}."
         )
 
 

@@ -190,7 +190,7 @@ def test_a_robot_of_a_known_name_is_refused(few: Path, tmp_path: Path) -> None:
         file.write_text(re.sub(r'mass value="[0-9.]+"', 'mass value="9"', file.read_text()))
     ids = RunFolder.open(folder).planned
     check = checked(folder)
-    assert check.planned == [*ids]
+    assert list(check.refused.values()) == [[*ids]]
     assert "give it another name" in check.summary()
     assert ids[0] in check.summary()
     # Under a name of its own it is another suite version, and its plan is not that of the rows.
@@ -244,7 +244,7 @@ def test_rows_of_another_machine_are_found(few: Path, tmp_path: Path) -> None:
     folder = changed(few, tmp_path / "run", {own}, elsewhere)
     shutil.copy(few / "mine.py", folder)
     check = checked(folder)
-    assert check.elsewhere == [own]
+    assert check.refused == {"rows of other versions than env.json states": [own]}
     assert not check.ok
     # With env.json of its own run, the digest is that of other rows.
     (folder / "env.json").write_bytes((few / "env.json").read_bytes())
@@ -262,8 +262,9 @@ def test_a_hidden_plug_in_is_refused_and_not_run(few: Path, tmp_path: Path) -> N
     metric = f'metric = [{{ use = "file:hidden.py:Own", {record} }}]'
     suite.write_text(honest.replace("metric = []", metric, 1))
     check = checked(folder)
-    assert check.beside == ["metric file:hidden.py:Own"]
-    assert check.beside_cells == [*ids]
+    ((why, cells),) = check.refused.items()
+    assert "(metric file:hidden.py:Own)" in why
+    assert cells == [*ids]
     assert ids[0] in check.summary()
     # In the plan alone: a method of its own under the label of another.
     suite.write_text(honest)
