@@ -248,8 +248,9 @@ def seed_of_hash(seal: str) -> str:
     file = os.environ.get(SEEDS)
     if not file:
         raise UsageError(
-            f"The plant is sealed ({seal[:12]}...): a maintainer keeps its seed, and runs it with "
-            f"{SEEDS} = the file that holds the seed. Leave its cells out with --select."
+            f"The plant is sealed ({seal[:12]}...): a maintainer keeps its seed, and runs and checks "
+            f"it with {SEEDS} = the file that holds the seed. Leave its cells out of a run with "
+            "--select."
         )
     seeds = _seeds(file)
     if seal not in seeds:

@@ -167,6 +167,16 @@ def test_an_honest_submission_with_its_own_method_is_accepted(few: Path, tmp_pat
     check = checked(few)
     assert check.ok
     assert len(check.cells) == 4
+    # On a page with the run of somebody else, unless it lies about its robots.
+    folder = copied(few, tmp_path / "again")
+    made = site([few], tmp_path / "site", [folder], seed=1, jobs=1)
+    assert made.ok
+    (entry,) = json.loads((tmp_path / "site" / "leaderboard.json").read_text())["suites"]
+    assert len(entry["runs"]) == 2
+    records = json.loads((folder / "models.json").read_text())
+    false = {name: record | {"hash": "0" * 16} for name, record in records.items()}
+    (folder / "models.json").write_text(json.dumps(false))
+    assert checked(folder).planned == [*RunFolder.open(few).planned]
     # Merged of runs of two machines, it has the digest of its own rows.
     merge([few, copied(few, tmp_path / "other")], tmp_path / "merged")
     shutil.copy(few / "mine.py", tmp_path / "merged")
@@ -290,8 +300,8 @@ def test_sealed_cells_need_their_seed(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.delenv("SYSID_BENCH_SEEDS")
     with pytest.raises(UsageError) as error:
         checked(folder)
-    assert "4 cells of the draw are of a sealed plant" in str(error.value)
-    assert "SYSID_BENCH_SEEDS=FILE" in str(error.value)
+    assert f"The plant is sealed ({seal[:12]}...)" in str(error.value)
+    assert "checks it with SYSID_BENCH_SEEDS = the file" in str(error.value)
 
 
 @pytest.mark.long

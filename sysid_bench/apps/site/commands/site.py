@@ -42,7 +42,7 @@ SHARE: Final = 0.05
 _SCHEMA: Final = 1
 _OWN: Final = ("suites", "robots", "methods")
 """Folders of a site, which are made anew."""
-_FILES: Final = ("run.toml", "plan.jsonl", "env.json", "cells")
+_FILES: Final = ("run.toml", "plan.jsonl", "models.json", "env.json", "cells")
 """What is read of a submission, besides the files that its suite names: tables and data frames are
 made from the rows again."""
 _OF_MACHINES: Final = ("timeout", "memory", "crash", "lost")
@@ -346,6 +346,7 @@ def check_submission(
     not there, on the path of Python, and for cells of sealed plants without their seed.
     """
     from sysid_bench.commands.run_folder import no_rows, open_run
+    from sysid_bench.experiments.spec import SEALED, seed_of_hash
     from sysid_bench.harness.merge import contradictions
     from sysid_bench.harness.suite.model import Origin
     from sysid_bench.harness.work.row_files import ROWS_DIGEST, rows_digest
@@ -387,7 +388,13 @@ def check_submission(
         )
         # Cells of another plan need no run to be refused, and their code is not executed.
         drawn = [] if planned or refused else random_cells(ids, share, chosen)
-        _check_seeds(run, {name for name in drawn if rows.rows[name]["status"] != "failed"})
+        for cell in run.plan.cells:
+            if (
+                cell.id in drawn
+                and rows.rows[cell.id]["status"] == "ok"
+                and SEALED in cell.spec.plant
+            ):
+                seed_of_hash(str(cell.spec.plant[SEALED]))  # raises where it is not here
         different = _differences(run, suite, drawn, jobs, on_event) if drawn else []
     return CheckResult(
         folder=str(folder),
@@ -400,21 +407,6 @@ def check_submission(
         refused=refused,
         digest=digest,
     )
-
-
-def _check_seeds(run: "RunFolder", cells: set[str]) -> None:
-    """Raise UsageError for cells of sealed plants whose seed is not here: without it they fail."""
-    from sysid_bench.experiments.spec import SEALED, SEEDS, seed_of_hash
-
-    sealed = {c.id: c.spec.plant[SEALED] for c in run.plan.cells if c.spec.plant.get(SEALED)}
-    try:
-        for seal in {sealed[name] for name in cells & sealed.keys()}:
-            seed_of_hash(str(seal))
-    except UsageError as error:
-        raise UsageError(
-            f"{len(cells & sealed.keys())} cells of the draw are of a sealed plant and cannot be "
-            f"run again without its seed: {SEEDS}=FILE sysid-bench site --check ... ({error})"
-        ) from error
 
 
 def _beside_methods(run: "RunFolder", suite: "Suite") -> dict[str, list[str]]:
@@ -439,6 +431,11 @@ def _not_of_the_suite(run: "RunFolder", suite: "Suite") -> list[str]:
         made = cells_of_suite(suite, names, large=True)
     wanted = {cell.id: cell.first_fields for cell in made.cells}
     planned = run.planned_fields
+    # Records of other models would make it another version of the suite.
+    if {k: x["hash"] for k, x in run.models.items()} != {
+        k: x["hash"] for k, x in made.models.items()
+    }:
+        return [*planned]
     other = [name for name, head in planned.items() if wanted.get(name) != head]
     return other + [name for name in wanted if name not in planned]
 
