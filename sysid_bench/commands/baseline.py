@@ -381,7 +381,7 @@ class GateResult(Result):
     moved: list[dict[str, Any]] = field(default_factory=list)
 
     def summary(self) -> str:
-        """What got worse, as tables, and what else differs."""
+        """Regressions as tables, and the other differences."""
         return self.text
 
     def write_junit(self, file: str | Path) -> None:

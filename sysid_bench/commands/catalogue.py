@@ -66,7 +66,7 @@ def find_entry(name: str, robots_dir: Path | None = None) -> tuple[str, Entry]:
     if _is_robot(plain_name, robots_dir):
         return ("robot", _robot(name, robots_dir))
     if settings:
-        raise UsageError(f"{plain_name!r} is no robot: only robots have {', '.join(settings)}.")
+        raise UsageError(f"{plain_name!r} is not a robot: only robots have {', '.join(settings)}.")
     names: set[str] = set()  # no plug-in is imported for them
     for kind, one in _kinds(robots_dir).items():
         own, registered = {*one.names()}, plugin_names.known(_singular(kind))

@@ -1,7 +1,7 @@
 """Identification of one robot from recordings of the real one: one cell of a suite with one
 [[log]]."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -25,7 +25,14 @@ from sysid_bench.commands.identify_result import (
 )
 from sysid_bench.commands.result import file_text, interval_text, short_names, value_text
 from sysid_bench.commands.write_model import DEVIATIONS, check_files, check_output_files
-from sysid_bench.errors import SHOWN, EstimationError, ModelError, UnsupportedError, WriteError
+from sysid_bench.errors import (
+    SHOWN,
+    EstimationError,
+    ModelError,
+    UnsupportedError,
+    UsageError,
+    WriteError,
+)
 from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
 from sysid_bench.evaluation.intervals import confidence_level, level_text
 from sysid_bench.evaluation.score import joint_errors
@@ -40,16 +47,20 @@ from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.linear.least_squares import RMS_TORQUE
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
+from sysid_bench.signals.torque_scale import scale_contradiction
 from sysid_bench.types import Array, Estimate
 
 ESTIMATOR: Final = "wls-guarded"
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 """In place of the plant, excitation and simulation of a simulated experiment."""
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
+CURRENT: Final = "current"
+"""Name of the contradiction that torques are currents."""
 RIGID: Final = (
     "a rigid load; friction, offsets and gains of the joints are the same with and without it"
 )
@@ -112,7 +123,7 @@ class RecordedResult(IdentifyResult):
         return "\n".join(lines + self._closing_lines())
 
     def _way_on(self) -> str:
-        """What to do next: judge the answer on another motion, or write its model."""
+        """Next step: judge the answer on another motion, or write its model."""
         if not self.tests:
             errors = [one["relative"] for one in self.training.values()]
             size = np.sqrt(np.mean([error**2 for error in errors if error is not None]))
@@ -163,6 +174,7 @@ def identify_recorded(request: Identify) -> RecordedResult:
             f"The task {request.task!r} has a way of its own to recordings; use it in a suite."
         )
     contradictions = check_contradictions(source.recordings, request.findings)
+    contradictions += check_torque_units(source.recordings, request.findings)
     reason = source.prior.reason
     hint = f"The prior is absent: {reason}." if reason else ""
     estimate = solved(prepared, method, f"{name} on {manifest.name}", hint)
@@ -319,7 +331,7 @@ def _payload(
 
 
 def _stated_load(log: ProcessedLog) -> str:
-    """What is taken as given of a load of unknown mass: where it is, and which shape it has."""
+    """Assumed position and shape of a load of unknown mass."""
     payload, robot, written = log.payload, log.robot, log.log.description.payload
     frame = robot.manifest.tool or robot.body_names[robot.tool_body]
     keys = written if isinstance(written, Mapping) and "use" not in written else None
@@ -332,6 +344,37 @@ def _stated_load(log: ProcessedLog) -> str:
     if keys is not None and "inertia" not in keys:
         shape = "a point mass, since the log states no inertia"
     return f"{shape}, {place}"
+
+
+def check_torque_units(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
+    """Return accepted sentences on torques declared in N m that are currents, or torques of motors;
+    raise UsageError for those that `accept` does not name.
+
+    A model that is fitted to them is as good on their own motion, and wrong by their gains.
+    """
+    said = []
+    for log in logs:
+        described, recording, robot = log.log.description, log.log.recording, log.robot
+        is_declared = "A" not in (described.tau.unit or ()) and described.tau.pd is None
+        if not described.has_torque or not is_declared or placeholder_reason(robot):
+            continue
+        # In the order of the degrees of freedom: the others are locked, or no hinges or slides.
+        joints = [joint for joint in robot.joints if joint.name in robot.torque_rows]
+        q = recording.q[:, [joint.qadr for joint in joints]]
+        rows = [robot.torque_rows.index(joint.name) for joint in joints]
+        names = [joint.name for joint in joints]
+        data = q, recording.tau[:, rows], recording.t
+        reason = scale_contradiction(*data, robot, names, sure=True)
+        if reason and CURRENT not in accept:
+            raise UsageError(
+                f"{described.source}: tau does not hold torques of joints in N m: {reason} (cure: "
+                "tau = { unit = 'A', gain = [...] }, or ratio = [...] of the gears). Fix the "
+                f"description, or go on with --accept {CURRENT}."
+            )
+        said += [f"{described.source.name}: tau does not hold torques of joints: {reason}"] * bool(
+            reason
+        )
+    return said
 
 
 # --- Warnings -----------------------------------------------------------------------------------

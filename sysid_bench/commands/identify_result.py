@@ -144,7 +144,7 @@ class IdentifyResult(Result):
         return [f"warning: {warning}" for warning in self.warnings[: self._urgent]]
 
     def _headline(self, known: str = "", way_on: str = "") -> str:
-        """What is known, how well it predicts beside no answer at all, and what to do next."""
+        """Known parameters, errors beside those of the baselines, and the next step."""
         is_exact = bool(known)
         if not known and self.base:
             sure = sum(bool(e["std"]) and e["std"] < KNOWN * abs(e["value"]) for e in self.base)
@@ -468,7 +468,7 @@ def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def constraint_lines(constraint: Mapping[str, Any]) -> Iterator[str]:
-    """What the feasible inertia of a load changes; none where the data have it by themselves."""
+    """Changes by the constraint of a feasible load; none where the data satisfy it."""
     if not constraint["binds"]:
         return
     yield (

@@ -46,6 +46,7 @@ from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.model_record import seed_content
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.plugin_names import build
@@ -260,9 +261,9 @@ def _robot(request: Identify, spec: ExperimentSpec) -> tuple[LoadedRobot, Experi
     the next call; a path may mean another file by then, in another working folder or after a
     change."""
     manifest = find_manifest(str(request.model), request.robots_dir)
-    if manifest.content is not None:
+    if manifest.by_path:
         robot = load_robot(manifest, parse_payload(spec.payload), request.free_base)
-        return LoadedRobot(robot), replace(spec, content=manifest.content)
+        return LoadedRobot(robot), replace(spec, content=seed_content(manifest, request.free_base))
     folder = file_text(request.robots_dir)
     return loaded_robot(spec.robot, spec.payload, folder, None, request.free_base), spec
 
@@ -275,10 +276,10 @@ def _inexact_text(scores: Mapping[str, Any], method: Any) -> list[str]:
         return []
     cause = f"the method: {bias}" if (bias := getattr(method, "bias", "")) else "rounding"
     if scores["near_degenerate"] and not bias:
-        cause = "the nearly dependent directions, which the data contain and no base parameter does"
+        cause = "the directions that the rank rule drops are in the data and in no base parameter"
     elif scores["condition"] and not bias:
-        cause = f"rounding, which the condition number {scores['condition']:.1e} magnifies"
-    return [f"exact data, and a torque error of {error:.1e}, by {cause}"]
+        cause = f"the condition number {scores['condition']:.1e} magnifies rounding"
+    return [f"the data are exact, and the torque error is {error:.1e}: {cause}"]
 
 
 def _rounding(beta: Array, beta_true: Array) -> float | None:

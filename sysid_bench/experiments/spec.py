@@ -76,7 +76,7 @@ class ExperimentSpec:
 
     @property
     def seeded_robot(self) -> str:
-        """What seeds depend on for the robot: its name, or the model of a file that was given by
+        """Identity of the robot for its seeds: its name, or the model of a file that was given by
         its path, since a path can be written in many ways."""
         return self.robot if self.content is None else self.content
 
@@ -248,9 +248,9 @@ def seed_of_hash(seal: str) -> str:
     file = os.environ.get(SEEDS)
     if not file:
         raise UsageError(
-            f"The plant is sealed ({seal[:12]}...): a maintainer keeps its seed, and runs and checks "
-            f"it with {SEEDS} = the file that holds the seed. Leave its cells out of a run with "
-            "--select."
+            f"The plant is sealed ({seal[:12]}...): a maintainer keeps its seed, and runs and "
+            f"checks it with {SEEDS} = the file that holds the seed. Leave its cells out of a run "
+            "with --select."
         )
     seeds = _seeds(file)
     if seal not in seeds:

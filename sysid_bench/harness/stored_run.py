@@ -85,7 +85,7 @@ def run_names(*places: Path) -> list[str]:
 
 
 def missing_run(path: Path) -> UsageError:
-    """What a path is in place of a run, the runs that there are, and how to make one."""
+    """Error text for a path that is not a run: what it is, the known runs, and how to make one."""
     if is_folder(path):
         why = f"it has no {PLAN}"
     else:
@@ -219,7 +219,7 @@ class RunFolder:
 
     @property
     def machines(self) -> list[dict[str, Any]]:
-        """What `environment` says of each machine that has computed rows."""
+        """Entries of `environment` for each machine that has computed rows."""
         others = self.environment.get("machines", [])
         listed = others.values() if isinstance(others, dict) else others
         return [self.environment, *(one for one in listed if isinstance(one, dict))]

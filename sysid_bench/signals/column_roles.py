@@ -1,5 +1,5 @@
-"""What the columns of a recording without names are, by their numbers: derivatives of one another,
-what follows the torque that the model predicts along the motion, and what rises or drifts."""
+"""Roles of the columns of a recording without names, by their numbers: derivatives of one another,
+torques that the model predicts along the motion, stamps that rise and temperatures that drift."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -235,7 +235,7 @@ class _Motion:
     def _torques(
         self, robot: RobotModel, joints: Sequence[str], motion: Sequence[Block]
     ) -> tuple[float, list[Block]]:
-        """How well the first one of the blocks that follow the model's torque does, and these, the
+        """Score of the best of the blocks that follow the model's torque, and these blocks, the
         measured one first."""
         fit = TorqueFit.of(self.X[:, motion[0].columns], self.t, robot, joints)
         taken = frozenset(column for block in motion for column in block.columns)

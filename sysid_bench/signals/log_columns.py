@@ -1,5 +1,5 @@
-"""Where the signals of a recording stand: in columns by their names, in files of one signal each,
-or by their numbers; and what the other columns are."""
+"""Places of the signals of a recording: columns by their names, files of one signal each, or
+columns by their numbers; and the roles of the other columns."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -34,7 +34,7 @@ Tables = Sequence[tuple[str, LogTable]]
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Where a signal stands: its file (None: the common one), columns, and numbers (N, k).
+    """Place of a signal: its file (None: the common one), columns, and numbers (N, k).
     `beside`: other columns that fit; `time`: the column of its own stamps; `reason`: how it was
     recognised by its numbers; `is_current`: its numbers are no torques of joints, except times
     `gain`, which the file itself states."""
@@ -83,7 +83,7 @@ class Found:
 
 
 def find_columns(tables: Tables, robot: RobotModel, joints: Sequence[str]) -> Found:
-    """Return where the signals stand in files (as written, their tables) of one recording."""
+    """Return the places of the signals in files (as written, their tables) of one recording."""
     told = [one for one in tables if column_names.is_command_file(Path(one[0]).stem)]
     told = told if len(told) < len(tables) else []
     measured = [one for one in tables if one not in told]

@@ -39,7 +39,7 @@ NO_TORQUE: Final = (
     "identified without them: add their columns or their file as tau"
 )
 
-NO_GAIN: Final = f"tau: currents, or torques of motors, are no torques of joints: {GAIN_ADVICE}"
+NO_GAIN: Final = f"tau: currents, or torques of motors, are not torques of joints: {GAIN_ADVICE}"
 
 NO_CONTROLLER: Final = (
     "tau: the recording holds positions and their commands without torques: write kp and kd of the "

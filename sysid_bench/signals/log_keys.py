@@ -32,7 +32,7 @@ GAIN_ADVICE: Final = (
     "where it is the motor's; or weigh a known load with gain = 1.0, which is taken as stated: its "
     "mass over the one that --task payload finds is the gain"
 )
-"""How one gets the gain of a current."""
+"""Ways to the gain of a current."""
 
 
 def _one_or_more(value: Any) -> Any:

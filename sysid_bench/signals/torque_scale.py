@@ -1,4 +1,4 @@
-"""Whether a signal follows the torque of the model along a motion, and at which scale."""
+"""Scale of a signal that follows the torque of the model along a motion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,10 +37,11 @@ _ALIKE: Final = 0.3
 
 
 def scale_contradiction(
-    q: Array, tau: Array, t: Array, robot: RobotModel, joints: Sequence[str]
+    q: Array, tau: Array, t: Array, robot: RobotModel, joints: Sequence[str], sure: bool = False
 ) -> str:
-    """Return why tau (N, k) is no torque of the joints in N m, "" where it may be one: it has no
-    sign, or follows the model's torque along q (N, k) at another scale."""
+    """Return the reason for which tau (N, k) is not a torque of the joints in N m, "" where it may
+    be one: it has no sign, or follows the model's torque along q (N, k) at another scale; `sure`: a
+    positive one in all joints, since a negative one is another mistake, or that of the model."""
     rows = ~check_finite(q, tau, t[:, None])
     q, tau, t = q[rows][:_ROWS], tau[rows][:_ROWS], t[rows][:_ROWS]
     if len(tau) and tau.min() >= 0 and (np.ptp(tau, axis=0) > 0).all():
@@ -49,7 +50,7 @@ def scale_contradiction(
     if fit is None or q.shape != tau.shape:
         return ""
     score, slopes, _ = fit.follows(tau)
-    if score < FOLLOWS or is_torque_scale(slopes):
+    if score < FOLLOWS or is_torque_scale(slopes) or (sure and slopes.min() <= 0):
         return ""
     return (
         f"it follows the model's torque ({score:.0%} beyond friction) at {range_of(slopes)}: a "

@@ -43,7 +43,7 @@ _SCHEMA: Final = 1
 _OWN: Final = ("suites", "robots", "methods")
 """Folders of a site, which are made anew."""
 _FILES: Final = ("run.toml", "plan.jsonl", "models.json", "env.json", "cells")
-"""What is read of a submission, besides the files that its suite names: tables and data frames are
+"""Files read of a submission, besides the files that its suite names: tables and data frames are
 made from the rows again."""
 _OF_MACHINES: Final = ("timeout", "memory", "crash", "lost")
 """Statuses that another machine need not reproduce; rankings count them as failures."""
@@ -389,12 +389,9 @@ def check_submission(
         # Cells of another plan need no run to be refused, and their code is not executed.
         drawn = [] if planned or refused else random_cells(ids, share, chosen)
         for cell in run.plan.cells:
-            if (
-                cell.id in drawn
-                and rows.rows[cell.id]["status"] == "ok"
-                and SEALED in cell.spec.plant
-            ):
-                seed_of_hash(str(cell.spec.plant[SEALED]))  # raises where it is not here
+            seal = cell.spec.plant.get(SEALED)
+            if seal and cell.id in drawn and rows.rows[cell.id]["status"] == "ok":
+                seed_of_hash(str(seal))  # an error where it is not here
         different = _differences(run, suite, drawn, jobs, on_event) if drawn else []
     return CheckResult(
         folder=str(folder),
@@ -432,9 +429,8 @@ def _not_of_the_suite(run: "RunFolder", suite: "Suite") -> list[str]:
     wanted = {cell.id: cell.first_fields for cell in made.cells}
     planned = run.planned_fields
     # Records of other models would make it another version of the suite.
-    if {k: x["hash"] for k, x in run.models.items()} != {
-        k: x["hash"] for k, x in made.models.items()
-    }:
+    stated, true = ({k: x["hash"] for k, x in one.items()} for one in (run.models, made.models))
+    if run.models and stated != true:
         return [*planned]
     other = [name for name, head in planned.items() if wanted.get(name) != head]
     return other + [name for name in wanted if name not in planned]
