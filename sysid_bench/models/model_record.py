@@ -41,7 +41,15 @@ def model_record(
         from sysid_bench.models.behaviour import computed_record  # loads MuJoCo
 
         record = computed_record(manifest, free)
-        _keep(file, json.dumps(record))
+        # Store a record; a folder that cannot be written costs the next plan the loading
+        text = json.dumps(record)
+        with suppress(OSError):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(
+                "w", dir=file.parent, suffix=".part", delete=False
+            ) as part:
+                part.write(text)
+            os.replace(part.name, file)
         return record
     return None
 
@@ -70,14 +78,3 @@ def _key(manifest: Manifest, free: bool) -> str:
     files = [] if manifest.text is not None else model_states(str(manifest.path))
     code = source_hash(str(PACKAGE_FOLDER / "models"))
     return canonical_hash([stated, free, files, code, version_fields()])
-
-
-def _keep(file: Path, text: str) -> None:
-    """Store a record; a folder that cannot be written costs the next plan the loading."""
-    with suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            "w", dir=file.parent, suffix=".part", delete=False
-        ) as part:
-            part.write(text)
-        os.replace(part.name, file)

@@ -122,10 +122,6 @@ def settings_text(
     physics steps (s)."""
     # Outward: randomisation should cover the whole interval. 1e-9: a delay of whole steps stays.
     lags = int(np.floor(delay[0] / step + 1e-9)), int(np.ceil(delay[1] / step - 1e-9))
-    return {"mjlab": _mjlab(joints, lags, step), "isaaclab": _isaaclab(joints, lags, step)}
-
-
-def _mjlab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: float) -> str:
     lines = [f"# mjlab; lags in physics steps of {1e3 * step:g} ms", "actuators = ("]
     for name, one in joints.items():
         effort = "" if np.isinf(one.limit) else f" effort_limit={one.limit:.6g},"
@@ -138,7 +134,7 @@ def _mjlab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: flo
             f"        delay_min_lag={lags[0]}, delay_max_lag={lags[1]},",
             "    ),",
         ]
-    return "\n".join([*lines, ")"])
+    return {"mjlab": "\n".join([*lines, ")"]), "isaaclab": _isaaclab(joints, lags, step)}
 
 
 def _isaaclab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: float) -> str:
