@@ -68,7 +68,7 @@ def _check_target(target: Path, sources: Sequence[Path | None]) -> None:
         raise UsageError(f"{str(target)!r} is the model itself; name another file.")
     if not is_folder(target.parent):
         folder = str(target.parent)
-        raise UsageError(f"There is no folder {folder!r} to write {target.name} to.")
+        raise UsageError(f"The folder {folder!r} of {target.name} does not exist.")
 
 
 def check_output_files(

@@ -265,8 +265,8 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
     if named.suffix[1:].isalpha():  # a file: no name of a robot resembles it
         same = f", or the robot {named.stem!r}" if named.stem in table else ""
         raise UsageError(
-            f"There is no file {source!r}, and its suffix is not of a model file: give a URDF or "
-            f"MJCF file ({', '.join(MODEL_SUFFIXES)}){same}."
+            f"The file {source!r} does not exist, and its suffix is not of a model file: give a "
+            f"URDF or MJCF file ({', '.join(MODEL_SUFFIXES)}){same}."
         )
     raise unknown_name("robot", source, table, "Or give the path of a URDF or MJCF file.")
 

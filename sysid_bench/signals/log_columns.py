@@ -1,10 +1,10 @@
-"""Where the signals of a recording stand: in columns by their names, in files of one signal each,
-or by their numbers; and what the other columns are."""
+"""Places of the signals of a recording: columns by their names, files of one signal each, or
+columns by their numbers; and the roles of the other columns."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,11 +14,11 @@ from sysid_bench.errors import first_names
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import column_names
 from sysid_bench.signals.column_names import CURRENTS, is_signal, role_of, words_of
-from sysid_bench.signals.column_roles import DOUBT, explain_columns
+from sysid_bench.signals.column_roles import DOUBT, Block, explain_columns
 from sysid_bench.signals.log_checks import is_rate
 from sysid_bench.signals.log_keys import SIGNALS
 from sysid_bench.signals.log_table import LogTable, table_of_rows
-from sysid_bench.signals.torque_scale import scale_contradiction
+from sysid_bench.signals.torque_scale import drive_gains, scale_contradiction
 from sysid_bench.types import Array
 
 _SLOWEST: Final = 0.5
@@ -34,9 +34,10 @@ Tables = Sequence[tuple[str, LogTable]]
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Where a signal stands: its file (None: the common one), columns, and numbers (N, k).
+    """Place of a signal: its file (None: the common one), columns, and numbers (N, k).
     `beside`: other columns that fit; `time`: the column of its own stamps; `reason`: how it was
-    recognised by its numbers; `is_current`: its numbers are no torques of joints."""
+    recognised by its numbers; `is_current`: its numbers are no torques of joints, except times
+    `gain`, which the file itself states."""
 
     columns: list[str] | list[int]
     values: Array
@@ -46,6 +47,7 @@ class Columns:
     time: Mapping[str, Any] | None = None
     reason: str = ""
     is_current: bool = False
+    gain: tuple[float, ...] = ()
 
     def table(self, unit: Sequence[str] = (), **more: Any) -> dict[str, Any]:
         """Return the value of the key of a signal; one unit where all joints have the same."""
@@ -81,7 +83,7 @@ class Found:
 
 
 def find_columns(tables: Tables, robot: RobotModel, joints: Sequence[str]) -> Found:
-    """Return where the signals stand in files (as written, their tables) of one recording."""
+    """Return the places of the signals in files (as written, their tables) of one recording."""
     told = [one for one in tables if column_names.is_command_file(Path(one[0]).stem)]
     told = told if len(told) < len(tables) else []
     measured = [one for one in tables if one not in told]
@@ -182,8 +184,33 @@ def _by_numbers(
             )
         else:
             unused.append(block)
+    if "v" in found and "tau" in found and found["tau"].is_current:
+        found["tau"] = _with_gain(found["tau"], found["v"].values, values, unused)
     labels = tuple(block.label for block in sorted(unused, key=lambda one: one.columns))
     return Found(found, (file[0],), {}, labels, tuple(block.text for block in blocks))
+
+
+def _with_gain(tau: Columns, v: Array, values: Array, others: Sequence[Block]) -> Columns:
+    """Return currents with the gains that the blocks of a controller's own currents and computed
+    torques agree on, if there are such."""
+    for current, torque in product(others, others):
+        if current.role != "current" or not torque.is_computed:
+            continue
+        i, computed = (values[:, list(block.columns)] for block in (current, torque))
+        if known := drive_gains(i, computed, v):
+            return stated_gain(tau, known, f"{torque.label} over {current.label}")
+    return tau
+
+
+def stated_gain(tau: Columns, known: tuple[Array, Array], quotient: str) -> Columns:
+    """Return currents with known gains and their deviations, from columns that `quotient` names."""
+    gains, deviations = known
+    reason = (
+        f"gain: the controller's own torque over its current, {quotient}, within "
+        f"{100 * deviations.max():.1g} %"
+    )
+    reason = "; ".join(filter(None, (tau.reason, reason)))
+    return replace(tau, gain=tuple(float(f"{x:.4g}") for x in gains), reason=reason)
 
 
 def _has_signal_per_file(tables: Tables) -> bool:

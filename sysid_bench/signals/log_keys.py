@@ -32,7 +32,7 @@ GAIN_ADVICE: Final = (
     "where it is the motor's; or weigh a known load with gain = 1.0, which is taken as stated: its "
     "mass over the one that --task payload finds is the gain"
 )
-"""How one gets the gain of a current."""
+"""Ways to the gain of a current."""
 
 
 def _one_or_more(value: Any) -> Any:
@@ -367,7 +367,7 @@ def with_preset(text: Mapping[str, Any], source: Path) -> dict[str, Any]:
         return given
     if name not in preset_keys():
         raise UsageError(f"{source}: {unknown_name('preset', str(name), preset_keys())}")
-    keys = {k: x for k, x in preset_keys()[name].items() if k not in ("title", "needs")}
+    keys = {k: x for k, x in preset_keys()[name].items() if k not in ("title", "needs", "desired")}
     if "rate" in given:
         keys.pop("time")
     for key, value in given.items():

@@ -114,7 +114,7 @@ DESIGNED = {
     "--export csv": "-o FILE",
     "--export can -o m.log": "Which motors",
     "--export can -o m.log --motors DM4310": "1 motor(s) for 6",
-    "--export can -o m.log --motors a.toml": "no file 'a.toml'",
+    "--export can -o m.log --motors a.toml": "The file 'a.toml' of motors does not exist",
     "--joints elbow": "elbow_joint",
     "--limit w=3": "No limit is called 'w'",
     "--limit v=1,2": "6",
@@ -123,7 +123,7 @@ DESIGNED = {
     "--period 1e9": "10,000,000",
     "--box tool0=0:1": "x:x,y:y,z:z",
     "--after nowhere.csv": "nowhere.csv",
-    "-o no/such/folder.csv": "no folder",
+    "-o no/such/folder.csv": "The folder 'no/such'",
     "--period '5 kg'": "kg",
 }
 COMMANDS = {
