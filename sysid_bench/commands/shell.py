@@ -156,8 +156,9 @@ def _execute(request: type[Request[Any]], specs: Mapping[str, Option], **values:
     given = {
         key: _value(specs[key], value)
         for key, value in values.items()
-        # Only what was typed: the defaults of the request hold, whatever help prints as one.
-        if context.get_parameter_source(key) is not ParameterSource.DEFAULT
+        # Only what was typed: the defaults of the request hold, whatever help prints as one. Click
+        # 8.2 takes absent arguments for typed ones.
+        if context.get_parameter_source(key) is not ParameterSource.DEFAULT and value != ()
     }
     if gravity := context.meta.get(GRAVITY):
         given |= _with_gravity(specs, given, gravity)

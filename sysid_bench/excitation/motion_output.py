@@ -104,7 +104,11 @@ def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
     if not is_file(file):
         raise UsageError(f"The file {str(file)!r} of a recorded motion does not exist.")
     try:
-        table = pd.read_csv(io.StringIO(read_text(file))).rename(columns=cell_text)
+        # Before 3.1 pandas is by default inexact in the last digit.
+        old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
+        exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
+        table = pd.read_csv(io.StringIO(read_text(file)), **exact)
+        table = table.rename(columns=cell_text)
     except (OSError, ValueError) as error:  # those of pandas are ValueErrors
         raise UsageError(f"{file} is not a table of a recorded motion: {error}.") from error
     missing = [column for column in columns if column not in table]

@@ -20,6 +20,7 @@ from sysid_bench.models.coupling.coordinates import coordinates_of, with_limits,
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf import mjcf_spec
+from sysid_bench.models.mjcf_inertia import principal_inertias
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, RobotModel
 from sysid_bench.models.tree import tree_of
@@ -91,6 +92,7 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
         except (ValueError, mujoco.FatalError) as error:
             reason = " ".join(str(error).split())
             raise ModelError(f"MuJoCo cannot read {file}: {reason}") from error
+        principal_inertias(spec, urdf.text)
         if manifest.couplings:
             ignored = [*coupled.mimic_equalities(spec, urdf.mimic)]
         else:
@@ -132,7 +134,8 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
     mj = _compile(spec, manifest) if payload or equalities is not None else bare
     joints, body_names = _joints(mj), _body_names(mj)
     _check_names(manifest, joints, body_names)
-    warnings = (*model_checks.warnings_from(), *model_checks.unit_warnings(mj))
+    told = model_checks.warnings_from()
+    warnings = (*told, *model_checks.singular_warning(mj, told), *model_checks.unit_warnings(mj))
     coupling, ignored = _coupling(mj, joints, equalities, manifest, source)
     return RobotModel(
         name=manifest.name,

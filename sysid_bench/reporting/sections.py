@@ -141,6 +141,8 @@ def joint_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> list[JointErr
 
 def _errors_of_robot(robot: Any, group: "pd.DataFrame") -> JointErrors:
     estimators = tuple(dict.fromkeys(group["method"]))
+    # A column of None alone is one of objects before pandas 3.
+    group = group.astype({"relative": float})
     errors = group.groupby(["name", "method"], sort=False)["relative"].agg(["median", "max"])
     found = {key: (median, worst) for key, median, worst in errors.itertuples()}
     rows = []

@@ -12,10 +12,15 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.apps.actuators.bounded_fit import SIGNED, Fit, Group, bounded_fit
+from sysid_bench.apps.actuators.bounded_fit import (
+    SIGNED,
+    Fit,
+    Group,
+    bounded_fit,
+    independent_samples,
+)
 from sysid_bench.apps.actuators.drive_rows import DriveRows
 from sysid_bench.evaluation.intervals import likelihood_drop
-from sysid_bench.numerics import correlation_time
 from sysid_bench.types import Array
 
 LONGEST: Final = 0.02
@@ -33,9 +38,6 @@ FLAT: Final = 1e-6
 
 FINE: Final = 501
 """Points of a piece among which the best delay is sought: 0.01 ms at 200 Hz."""
-
-LAGS: Final = 0.5
-"""s over which the correlation of residuals is summed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,15 +117,6 @@ def _loss(errors: Array, counts: Array) -> Array:
     return np.asarray((counts * np.log(np.maximum(errors, 1e-12) ** 2)).sum(axis=-1))
 
 
-def independent_samples(residuals: Array, rate: float) -> Array:
-    """Return the number (k,) of independent samples in residuals (N, k) at a rate (Hz): N over
-    their correlation time, summed over LAGS or a quarter of the recording."""
-    N = len(residuals)
-    centred = residuals - residuals.mean(axis=0)
-    longest = max(min(int(LAGS * rate), N // 4) - 1, 0)
-    return np.array([N / correlation_time(x, longest) for x in centred.T])
-
-
 def _lowest(piece: Array, fits: Sequence[Fit], counts: Array) -> tuple[float, float]:
     """Return delay and loss of the minimum in a piece (3,) with its fits: the squared residuals of
     each joint are a parabola there, and their logarithm is not."""
@@ -200,7 +193,7 @@ def delay_information(
         x = np.linalg.lstsq(group.A, c, rcond=None)[0]
         rest = c - group.A @ x
         for i, j in enumerate(group.joints):
-            direction[j] = x[group.columns(i)[: SIGNED + 1]]
+            direction[j] = group.gain[0] * x[group.columns(i)[: SIGNED + 1]]
             left[:, j] = rest[i * group.samples : (i + 1) * group.samples]
     # In units of the residuals: a share below them does not separate the delay from the others.
     scale = np.maximum(fit.errors, 1e-12)

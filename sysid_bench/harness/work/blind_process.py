@@ -35,6 +35,7 @@ from sysid_bench.harness.work.confinement import (
 )
 from sysid_bench.harness.work.process_tree import (
     child_of,
+    kill_group,
     kill_subtree,
     memory_use,
     tree_of,
@@ -232,7 +233,7 @@ def blind_method(
             yield method
         finally:
             hide_memory(False)
-            process.kill()
+            kill_group(process)
             process.wait()
             kill_subtree()
             for pipe in (process.stdin, process.stdout):

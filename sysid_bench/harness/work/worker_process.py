@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from sysid_bench.experiments.spec import SEEDS
 from sysid_bench.harness.work.confinement import method_environment, wanted_isolation
-from sysid_bench.harness.work.process_tree import MARK, kill_tree, memory_use, tree_of
+from sysid_bench.harness.work.process_tree import MARK, kill_group, kill_tree, memory_use, tree_of
 from sysid_bench.harness.work.row_files import new_row_file, stored_rows
 from sysid_bench.harness.work.run_process import end_of_process
 from sysid_bench.types import Row
@@ -247,11 +247,7 @@ class Worker:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.terminate()  # its guard ends all that it has started
             self.process.wait(timeout=_GUARD_SECONDS)
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            if hasattr(os, "killpg"):
-                os.killpg(self.process.pid, signal.SIGKILL)
-            else:
-                self.process.kill()
+        kill_group(self.process)
         self.process.wait()
         kill_tree(self._mark, below)
         if self.process.stdin is not None:
