@@ -26,6 +26,10 @@ from sysid_bench.types import Array
 LONGEST: Final = 0.02
 """s, of the delays that are tried at rates from 100 Hz on."""
 
+MOST: Final = 0.2
+"""s, up to which they are extended while the longest one fits best: radio links and cameras are
+below it."""
+
 SAMPLES: Final = 2.0
 """Longest of them at lower rates, in samples."""
 
@@ -62,9 +66,10 @@ class DelayProfile:
         return bool(len(self.delays) > 1 and self.best >= self.delays[-1])
 
 
-def delay_grid(rate: float) -> Array:
-    """Return delays (d,) up to LONGEST or SAMPLES samples, half a sample apart: five or more."""
-    return np.arange(0.0, max(LONGEST, SAMPLES / rate) + 1e-9, 0.5 / rate)
+def delay_grid(rate: float, longest: float = LONGEST) -> Array:
+    """Return delays (d,) up to a longest (s) or SAMPLES samples, half a sample apart: five or
+    more."""
+    return np.arange(0.0, max(longest, SAMPLES / rate) + 1e-9, 0.5 / rate)
 
 
 def delay_profile(

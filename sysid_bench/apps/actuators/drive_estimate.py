@@ -15,6 +15,7 @@ from sysid_bench.apps.actuators.bounded_fit import (
     independent_samples,
 )
 from sysid_bench.apps.actuators.delay_profile import (
+    MOST,
     DelayInformation,
     DelayProfile,
     delay_grid,
@@ -148,6 +149,9 @@ def _identify(
         return DriveEstimate(rows, groups, fit, delay)
     grid = delay_grid(rows.rate) if delays is None else delays
     profile, scale = delay_profile(rows, groups, grid, between=delays is None), None
+    while delays is None and profile.on_edge and grid[-1] < MOST:
+        grid = delay_grid(rows.rate, 2.0 * float(grid[-1]))
+        profile = delay_profile(rows, groups, grid)
     if rows.armature is not None:
         # How much a table weighs beside the data depends on the residuals, which a first fit
         # without tables gives.
