@@ -15,13 +15,13 @@ from sysid_bench.commands.identify_result import (
     base_lines,
     body_lines,
     cell_fields,
-    constraint_lines,
     feasible_entry,
     joint_lines,
     solved,
     std_lines,
     warnings_of,
 )
+from sysid_bench.commands.payload_text import constraint_lines
 from sysid_bench.commands.result import OMIT_NONE, file_text, value_text
 from sysid_bench.commands.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.commands.task_terms import check_terms
