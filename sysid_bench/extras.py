@@ -38,8 +38,10 @@ def extra_module(module: str, what: str, otherwise: str = "") -> Any:
         package = module if module in EXTRAS else module.partition(".")[0]
         package = {"google": "protobuf"}.get(package, package)
         if package != module and find_spec(package) is not None:
+            # The floor of rerun-sdk is below the version that reads: pip would not upgrade it.
+            name = "rerun-sdk" if package == "rerun" else f"'sysid-bench[{EXTRAS[package]}]'"
             raise UsageError(
                 f"{what} needs {module}, which the installed {package} lacks: "
-                f"pip install --upgrade 'sysid-bench[{EXTRAS[package]}]'."
+                f"pip install --upgrade {name}."
             ) from error
         raise missing(package, what, otherwise) from error

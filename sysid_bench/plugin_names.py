@@ -288,7 +288,7 @@ def _module(path: str) -> ModuleType:
     if path.startswith("file:"):
         file = Path(path.removeprefix("file:"))
         if not is_file(file):
-            raise UsageError(f"There is no file {str(file)!r} with a plug-in.")
+            raise UsageError(f"The plug-in file {str(file)!r} does not exist.")
         try:
             check_file(file)
         except OSError as error:

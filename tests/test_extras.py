@@ -5,6 +5,7 @@ import pkgutil
 import subprocess
 import sys
 import tomllib
+import types
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,11 @@ def test_an_absent_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(UsageError, match=r"A recording needs rerun.*sysid-bench\[rerun\]'"):
         extra_module("rerun", "A recording")
+    monkeypatch.setitem(sys.modules, "rerun", types.ModuleType("rerun"))
+    monkeypatch.setitem(sys.modules, "rerun.chunk", None)
+    monkeypatch.setattr("sysid_bench.extras.find_spec", lambda package: package == "rerun")
+    with pytest.raises(UsageError, match=r"rerun\.chunk.* --upgrade rerun-sdk\.$"):
+        extra_module("rerun.chunk", "A recording")
     assert extra_module("json", "This").dumps({}) == "{}"
 
 

@@ -63,7 +63,6 @@ class BaselineSave(Request["BaselineResult"]):
         (a factor for errors, a difference for gaps); `times`: ratios of times within the run, too.
         Raises UsageError for an unknown metric, and where the `times` asked for are not there.
         """
-        from sysid_bench.commands.run_folder import open_run
         from sysid_bench.harness.comparison.baseline import baseline_of
         from sysid_bench.harness.comparison.run_values import Tolerance, read_run, tolerance_of
         from sysid_bench.metrics import METRICS
@@ -78,7 +77,7 @@ class BaselineSave(Request["BaselineResult"]):
                 sizes[name] = Tolerance(kind, size, known.floor)
             except UsageError as error:
                 raise UsageError(f"The tolerance {name}={size:g} cannot be: {error}") from error
-        folder = open_run(self.folder)
+        folder = _whole_run(self.folder)
         values = read_run(folder, tuple(self.metrics), times=self.times)
         if self.times and not values.speeds:
             raise _without_times(folder)
@@ -98,13 +97,12 @@ class BaselineUpdate(Request["BaselineResult"]):
         """Take the changes of a run over into a baseline: what a comparison with it finds, and
         nothing else, so that values within their tolerance stay unless they drift in common.
         Metrics and tolerances stay, and times where the run has none."""
-        from sysid_bench.commands.run_folder import open_run
         from sysid_bench.harness.comparison.baseline import baseline_of, update_of
         from sysid_bench.harness.comparison.run_difference import find_difference
         from sysid_bench.harness.comparison.run_values import read_run
 
         old = read_baseline(self.out)
-        run, metrics = open_run(self.folder), tuple(old.run.metrics)
+        run, metrics = _whole_run(self.folder), tuple(old.run.metrics)
         now = read_run(run, metrics, times=bool(old.run.speeds))
         changes = find_difference(old.run, now, old.tolerances)
         update = update_of(changes)
@@ -151,6 +149,17 @@ class BaselineResult(Result):
         elif self.untimed:
             times = f"; without times that were there: {first_labels(self.untimed)}"
         return f"{self.file}: {self.cells} cells, {self.bytes} bytes{taken}{times}"
+
+
+def _whole_run(folder: str | Path) -> "RunFolder":
+    """Open a run; raise UsageError for one with damaged rows, whose cells would become open ones of
+    a baseline, which no gate compares."""
+    from sysid_bench.commands.run_folder import damage_note, open_run
+
+    run = open_run(folder)
+    if run.damaged:
+        raise UsageError(f"{str(folder)!r}: {damage_note(run.damaged)}")
+    return run
 
 
 def read_baseline(file: str | Path) -> "Baseline":
@@ -372,7 +381,7 @@ class GateResult(Result):
     moved: list[dict[str, Any]] = field(default_factory=list)
 
     def summary(self) -> str:
-        """What got worse, as tables, and what else differs."""
+        """Regressions as tables, and the other differences."""
         return self.text
 
     def write_junit(self, file: str | Path) -> None:
@@ -466,15 +475,15 @@ def _gate_text(folder: str, baseline: str, changes: "RunDifference", better: int
 
 
 def cell_text(
-    cell: "Cell", row: Mapping[str, Any], baseline: "Baseline | None", folder: str
+    cell: "Cell", row: Mapping[str, Any], baseline: "Baseline | None", run: "RunFolder"
 ) -> str:
-    """Return what is wrong with a row, with the row and the command that computes it again; "" for
-    nothing. Without its cell in a baseline a row has to be ok, and its regressor the one of
-    Pinocchio."""
+    """Return what is wrong with a row of a run, with the row and the command that computes it
+    again; "" for nothing. Without its cell in a baseline a row has to be ok, and its regressor the
+    one of Pinocchio."""
     from sysid_bench.commands.run_folder import rerun_command
 
     wrong: list[str] = []
-    changes = None if baseline is None else _changes_of_row(cell, row, baseline)
+    changes = None if baseline is None else _changes_of_row(cell, row, baseline, run)
     if changes is not None:
         wrong = changes
     elif row["status"] != "ok" or row.get("crosscheck") == "failed":
@@ -482,11 +491,13 @@ def cell_text(
     if not wrong:
         return ""
     facts = [f"{name:<14}{row[name]}" for name in _SHOWN if row.get(name) not in (None, "")]
-    again = f"reproduce: {rerun_command(folder, cell.id)}"
+    again = f"reproduce: {rerun_command(run.path, cell.id)}"
     return "\n\n".join([*wrong, "\n".join(facts), again])
 
 
-def _changes_of_row(cell: "Cell", row: Mapping[str, Any], baseline: "Baseline") -> list[str] | None:
+def _changes_of_row(
+    cell: "Cell", row: Mapping[str, Any], baseline: "Baseline", run: "RunFolder"
+) -> list[str] | None:
     """Tables of what is worse than the baseline; None where it has no such cell."""
     from sysid_bench.commands.changes import largest_first, tables_text
     from sysid_bench.harness.comparison.run_difference import find_difference
@@ -498,8 +509,12 @@ def _changes_of_row(cell: "Cell", row: Mapping[str, Any], baseline: "Baseline") 
     table = row.get("parameters_table") or ()
     truth = true_values(table)
     parameters = {settings_key(first, table): truth} if truth else {}
+    record = run.models.get(values.robot)
     # A run of one cell: partial, so that all others of the baseline do not count as gone.
-    now = replace(known, cells={cell.id: values}, parameters=parameters, heads={cell.id: first})
+    now = replace(
+        known, cells={cell.id: values}, parameters=parameters, heads={cell.id: first},
+        models={values.robot: record["behaviour"]} if record else {},
+    )  # fmt: skip
     changes = find_difference(known, now, baseline.tolerances, partial=True)
     if changes.appeared:
         return None

@@ -53,7 +53,7 @@ def entries_of_kind(kind: str | None, robots_dir: Path | None = None) -> list[En
             # One damaged file must not hide all other names of its kind.
             found.append({"name": name, "title": f"cannot be read: {error}"})
     registered = plugin_names.known(_singular(plural))
-    with CallWorker(SECONDS) as worker:
+    with CallWorker(SECONDS, is_confined=True) as worker:
         plugins = [_plugin(_singular(plural), name, worker) for name in registered]
     return found + [{"name": entry["name"], "title": entry["title"]} for entry in plugins]
 
@@ -66,14 +66,14 @@ def find_entry(name: str, robots_dir: Path | None = None) -> tuple[str, Entry]:
     if _is_robot(plain_name, robots_dir):
         return ("robot", _robot(name, robots_dir))
     if settings:
-        raise UsageError(f"{plain_name!r} is no robot: only robots have {', '.join(settings)}.")
+        raise UsageError(f"{plain_name!r} is not a robot: only robots have {', '.join(settings)}.")
     names: set[str] = set()  # no plug-in is imported for them
     for kind, one in _kinds(robots_dir).items():
         own, registered = {*one.names()}, plugin_names.known(_singular(kind))
         if name in own:
             return (_singular(kind), one.entry(name))
         if name in registered:
-            with CallWorker(SECONDS) as worker:
+            with CallWorker(SECONDS, is_confined=True) as worker:
                 return (_singular(kind), _plugin(_singular(kind), name, worker))
         names |= own | registered.keys()
     if _plural(name) in KINDS:

@@ -164,7 +164,7 @@ class ExciteResult(Result):
         return f"{text}; without the box: {without:.4g})"
 
     def _price_lines(self) -> Iterator[str]:
-        """What the dearest limits cost."""
+        """Costs of the dearest limits."""
         unit = "%" if self.objective in ("cond", "cond-unit") else "/ 100 of the criterion"
         for name, price in list(self.prices.items())[:SHOWN_PRICES]:
             yield f"  price of {name}: 1 % wider saves {price:.2g} {unit}"

@@ -1,7 +1,7 @@
 """Identification of one robot from recordings of the real one: one cell of a suite with one
 [[log]]."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -18,14 +18,21 @@ from sysid_bench.commands.identify_result import (
     constraint_lines,
     feasible_entry,
     identifiable_of,
-    joint_line,
+    joint_lines,
     solved,
     std_lines,
     warnings_of,
 )
-from sysid_bench.commands.result import file_text, interval_text, value_text
+from sysid_bench.commands.result import file_text, interval_text, short_names, value_text
 from sysid_bench.commands.write_model import DEVIATIONS, check_files, check_output_files
-from sysid_bench.errors import SHOWN, EstimationError, ModelError, UnsupportedError, WriteError
+from sysid_bench.errors import (
+    SHOWN,
+    EstimationError,
+    ModelError,
+    UnsupportedError,
+    UsageError,
+    WriteError,
+)
 from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
 from sysid_bench.evaluation.intervals import confidence_level, level_text
 from sysid_bench.evaluation.score import joint_errors
@@ -40,16 +47,20 @@ from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.linear.least_squares import RMS_TORQUE
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
+from sysid_bench.signals.torque_scale import scale_contradiction
 from sysid_bench.types import Array, Estimate
 
 ESTIMATOR: Final = "wls-guarded"
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 """In place of the plant, excitation and simulation of a simulated experiment."""
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
+CURRENT: Final = "current"
+"""Name of the contradiction that torques are currents."""
 RIGID: Final = (
     "a rigid load; friction, offsets and gains of the joints are the same with and without it"
 )
@@ -85,9 +96,10 @@ class RecordedResult(IdentifyResult):
         reason, spreads = self.prior["reason"], self.prior["spreads"]
         lines = [
             *self._opening_lines(),
-            f"{self.model}, task {self.task}, {self.estimator}: rank {self.rank} "
-            f"of {self.parameters}, condition {value_text(self.condition)}",
             *(_payload_lines(self.payload) if self.payload else ()),
+            self._headline(way_on=self._way_on()),
+            f"  task {self.task}, {self.estimator}: rank {self.rank} "
+            f"of {self.parameters}, condition {value_text(self.condition)}",
             f"  {seconds:.1f} s of training, pipeline {self.signals['pipeline']!r}, "
             f"filter {self.signals['filter']!r}, derivatives {self.signals['derivatives']!r}; "
             f"errors in % of the {self.denominator}",
@@ -102,20 +114,36 @@ class RecordedResult(IdentifyResult):
                 f"  chosen on {self.selection['left_out']}: {names} (mean error there "
                 f"{before:.1f} -> {after:.1f} %)"
             )
-        lines += [*self._error_lines(), *self._baseline_lines()]
-        lines += [joint_line(name, terms) for name, terms in self._of_level(self.joints).items()]
+        lines += self._error_lines()
+        lines += joint_lines(self._of_level(self.joints))
         base = self._of_level(dict(enumerate(self.base))).values()
         lines += [*base_lines([*base]), *std_lines(self.std_from, self.std_limit, self.reach)]
         lines += _constraint_lines(self.constraints) if self.constraints else ()
         lines += _written_lines(self.written) if self.written else ()
         return "\n".join(lines + self._closing_lines())
 
+    def _way_on(self) -> str:
+        """Next step: judge the answer on another motion, or write its model."""
+        if not self.tests:
+            errors = [one["relative"] for one in self.training.values()]
+            size = np.sqrt(np.mean([error**2 for error in errors if error is not None]))
+            return (
+                f"Torques of the training itself err by {100 * size:.3g} %, which judges nothing: "
+                "give another motion as --test"
+            )
+        writes = find_task(self.task).writes_model and self.model_out is None
+        return "--model-out arm.urdf (or .xml) writes the model" if writes else ""
+
     def _error_lines(self) -> Iterator[str]:
         """A line for each joint, with its error on the first test, and one for each other test."""
         test = next(iter(self.tests.values()), None)
-        yield "  joint                  RMS     train" + ("          test" if test else "")
+        names, left_out = short_names(self.training)
+        width = max(len(f"joint{left_out}"), *map(len, names.values()))
+        yield f"  joint{left_out:{width - 5}}      RMS     train" + (
+            "          test" if test else ""
+        )
         for joint, train in self.training.items():
-            line = f"  {joint:18} {train['rms']:8.4g}  {_error_text(train)}"
+            line = f"  {names[joint]:{width}} {train['rms']:8.4g}  {_error_text(train)}"
             yield line + (f"  {_error_text(test[joint])}" if test else "")
         for label, errors in list(self.tests.items())[1:]:
             yield f"  {label}: {', '.join(_error_text(joint).strip() for joint in errors.values())}"
@@ -146,6 +174,7 @@ def identify_recorded(request: Identify) -> RecordedResult:
             f"The task {request.task!r} has a way of its own to recordings; use it in a suite."
         )
     contradictions = check_contradictions(source.recordings, request.findings)
+    contradictions += check_torque_units(source.recordings, request.findings)
     reason = source.prior.reason
     hint = f"The prior is absent: {reason}." if reason else ""
     estimate = solved(prepared, method, f"{name} on {manifest.name}", hint)
@@ -302,7 +331,7 @@ def _payload(
 
 
 def _stated_load(log: ProcessedLog) -> str:
-    """What is taken as given of a load of unknown mass: where it is, and which shape it has."""
+    """Assumed position and shape of a load of unknown mass."""
     payload, robot, written = log.payload, log.robot, log.log.description.payload
     frame = robot.manifest.tool or robot.body_names[robot.tool_body]
     keys = written if isinstance(written, Mapping) and "use" not in written else None
@@ -315,6 +344,37 @@ def _stated_load(log: ProcessedLog) -> str:
     if keys is not None and "inertia" not in keys:
         shape = "a point mass, since the log states no inertia"
     return f"{shape}, {place}"
+
+
+def check_torque_units(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
+    """Return accepted sentences on torques declared in N m that are currents, or torques of motors;
+    raise UsageError for those that `accept` does not name.
+
+    A model that is fitted to them is as good on their own motion, and wrong by their gains.
+    """
+    said = []
+    for log in logs:
+        described, recording, robot = log.log.description, log.log.recording, log.robot
+        is_declared = "A" not in (described.tau.unit or ()) and described.tau.pd is None
+        if not described.has_torque or not is_declared or placeholder_reason(robot):
+            continue
+        # In the order of the degrees of freedom: the others are locked, or no hinges or slides.
+        joints = [joint for joint in robot.joints if joint.name in robot.torque_rows]
+        q = recording.q[:, [joint.qadr for joint in joints]]
+        rows = [robot.torque_rows.index(joint.name) for joint in joints]
+        names = [joint.name for joint in joints]
+        data = q, recording.tau[:, rows], recording.t
+        reason = scale_contradiction(*data, robot, names, sure=True)
+        if reason and CURRENT not in accept:
+            raise UsageError(
+                f"{described.source}: tau does not hold torques of joints in N m: {reason} (cure: "
+                "tau = { unit = 'A', gain = [...] }, or ratio = [...] of the gears). Fix the "
+                f"description, or go on with --accept {CURRENT}."
+            )
+        said += [f"{described.source.name}: tau does not hold torques of joints: {reason}"] * bool(
+            reason
+        )
+    return said
 
 
 # --- Warnings -----------------------------------------------------------------------------------

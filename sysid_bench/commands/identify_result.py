@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.commands.result import HIDDEN, OMIT_NONE, Result, estimate_text
+from sysid_bench.commands.result import HIDDEN, OMIT_NONE, Result, estimate_text, short_names
 from sysid_bench.errors import SHOWN, EstimationError, count_text, first_names
 from sysid_bench.evaluation.baselines import (
     FILE,
@@ -50,6 +50,9 @@ OF_CELLS: Final = (*REPORTED, "torque_error_moving", "torque_error_weighted", "s
 
 WEAKEST: Final = 3
 """Base parameters at the end of the summary, those with the largest relative deviations."""
+
+KNOWN: Final = 0.1  # 10 %
+"""Relative standard deviation below which the first sentence counts a base parameter as known."""
 
 TERMS: Final = 4
 """Terms of one base parameter in the summary."""
@@ -140,12 +143,31 @@ class IdentifyResult(Result):
         """Warnings without which the answer is misread."""
         return [f"warning: {warning}" for warning in self.warnings[: self._urgent]]
 
-    def _baseline_lines(self, own: str = "on the test {:.3g} %; ") -> list[str]:
-        """The error of the answer on its test (as `own` says it) beside those of predictions
-        without one."""
+    def _headline(self, known: str = "", way_on: str = "") -> str:
+        """Known parameters, errors beside those of the baselines, and the next step."""
+        is_exact = bool(known)
+        if not known and self.base:
+            sure = sum(bool(e["std"]) and e["std"] < KNOWN * abs(e["value"]) for e in self.base)
+            known = f"{sure} of {len(self.base)} base parameters are known within 10 %"
+            if self.std_from is None:
+                known = f"{count_text(len(self.base), 'base parameter')} without an interval"
+        whole = [
+            f"mass of {name} {estimate_text(body['mass'], body['std']['m'])} kg"
+            for name, body in self._of_level(self.bodies).items()
+            if len(self.bodies) == 1 and body["mass"] is not None
+        ]
+        if is_exact or "by_joint" in (self.payload or {}):  # no deviation, or lines of its own
+            whole = []
+        texts = [", ".join(filter(None, (*whole, known))), self._error_text()]
+        # What a warning above advises comes first.
+        texts = list(filter(None, [*texts, "" if self._urgent else way_on]))
+        return f"{self.model}: {'. '.join(texts)}."
+
+    def _error_text(self) -> str:
+        """The error of the answer on its test beside those of predictions without one."""
         error = self.scores.get("torque_error")
         if error is None:
-            return []
+            return ""
         name = FILE_FRICTION if self.joints and self.bodies else FILE
         null = WORDS[name] if self.from_file else WORDS[name].replace("model file", "prior")
         errors = {null: "null", WORDS[MEAN]: "mean"}
@@ -153,7 +175,7 @@ class IdentifyResult(Result):
         known |= {WORDS[ZERO]: ZERO_TORQUE}
         known |= {"the training torque, played again": self.scores.get("torque_error_floor")}
         texts = [f"{words} {100 * e:.3g} %" for words, e in known.items() if e is not None]
-        return [f"  torque error {own.format(100 * error)}of {', '.join(texts)}"]
+        return f"Torques of other motions err by {100 * error:.3g} % ({', '.join(texts)})"
 
     def _closing_lines(self) -> list[str]:
         """The other warnings, and files."""
@@ -446,7 +468,7 @@ def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def constraint_lines(constraint: Mapping[str, Any]) -> Iterator[str]:
-    """What the feasible inertia of a load changes; none where the data have it by themselves."""
+    """Changes by the constraint of a feasible load; none where the data satisfy it."""
     if not constraint["binds"]:
         return
     yield (
@@ -466,15 +488,17 @@ def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:+.2g} %"
 
 
-def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
-    """Terms of a joint, each with its standard deviation or `not identifiable`."""
-    parts = [
-        f"{term} {_number(value)}"
-        if value["identifiable"] == "identifiable"
-        else f"{term} not identifiable"
-        for term, value in terms.items()
-    ]
-    return f"  {name}: {', '.join(parts)}"
+def joint_lines(joints: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[str]:
+    """Terms of each joint, each with its standard deviation or `not identifiable`."""
+    names, _ = short_names(joints)
+    for name, terms in joints.items():
+        parts = [
+            f"{term} {_number(value)}"
+            if value["identifiable"] == "identifiable"
+            else f"{term} not identifiable"
+            for term, value in terms.items()
+        ]
+        yield f"  {names[name]}: {', '.join(parts)}"
 
 
 def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -17,7 +17,7 @@ from sysid_bench.commands.identify_result import (
     cell_fields,
     constraint_lines,
     feasible_entry,
-    joint_line,
+    joint_lines,
     solved,
     std_lines,
     warnings_of,
@@ -74,14 +74,17 @@ class SimulatedResult(IdentifyResult):
     def summary(self) -> str:
         """Errors, then bodies and joints with standard deviations (none where they are exact), then
         warnings."""
+        known = ""
+        if self.exact is not None:
+            known = f"all {self.rank} base parameters are exact to {self.exact:g} of the largest"
         lines = [
             *self._opening_lines(),
-            f"{self.model}, task {self.task}, {self.estimator}: "
-            f"rank {self.rank} of {self.parameters}, condition {value_text(self.condition)}",
-            f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
-            f"other motions, torque error {value_text(self.torque_error)}",
+            self._headline(known),
+            f"  task {self.task}, {self.estimator}: "
+            f"rank {self.rank} of {self.parameters}, condition {value_text(self.condition)}; "
+            f"RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
+            "other motions",
         ]
-        lines += self._baseline_lines(own="")
         if self.left_out:
             lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
         if self.sensor is not None:
@@ -94,10 +97,10 @@ class SimulatedResult(IdentifyResult):
             bodies = {name: _exact_body(body, smallest) for name, body in bodies.items()}
             joints = {name: _exact(terms, smallest) for name, terms in joints.items()}
             base = list(_exact(dict(enumerate(base)), smallest).values())
-            meaning = [f"  exact to {self.exact:g} of the largest base parameter (no noise)"]
+            meaning = []
         lines += body_lines(bodies)
         lines += constraint_lines(self.payload["constraint"]) if self.payload else ()
-        lines += [joint_line(name, terms) for name, terms in joints.items()]
+        lines += joint_lines(joints)
         lines += [*base_lines(base), *meaning]
         if self.completed is not None and self.parameters > self.rank:
             lines.append(
@@ -272,10 +275,10 @@ def _inexact_text(scores: Mapping[str, Any], method: Any) -> list[str]:
         return []
     cause = f"the method: {bias}" if (bias := getattr(method, "bias", "")) else "rounding"
     if scores["near_degenerate"] and not bias:
-        cause = "the nearly dependent directions, which the data contain and no base parameter does"
+        cause = "the directions that the rank rule drops are in the data and in no base parameter"
     elif scores["condition"] and not bias:
-        cause = f"rounding, which the condition number {scores['condition']:.1e} magnifies"
-    return [f"exact data, and a torque error of {error:.1e}, by {cause}"]
+        cause = f"the condition number {scores['condition']:.1e} magnifies rounding"
+    return [f"the data are exact, and the torque error is {error:.1e}: {cause}"]
 
 
 def _rounding(beta: Array, beta_true: Array) -> float | None:

@@ -11,6 +11,8 @@ from sysid_bench.commands.result import Result
 from sysid_bench.errors import UsageError, first_names
 
 if TYPE_CHECKING:
+    from sysid_bench.models.robot import RobotModel
+    from sysid_bench.signals.log_checks import Finding
     from sysid_bench.signals.log_guess import LogGuess
 
 
@@ -39,8 +41,6 @@ class InitLog(Request["InitLogResult"]):
         """
         from sysid_bench.models.load import load_robot
         from sysid_bench.models.manifest import find_manifest
-        from sysid_bench.signals.log import read_log
-        from sysid_bench.signals.log_description import description_of
         from sysid_bench.signals.log_guess import guess_log
         from sysid_bench.signals.log_reader import read_table
 
@@ -53,16 +53,16 @@ class InitLog(Request["InitLogResult"]):
         robot = load_robot(find_manifest(str(self.model), self.robots_dir))
         tables = [(relative_to(path, target.parent), read_table(path)) for path in paths]
         guess = guess_log(tables, robot)
-        settling = "  # once tau is complete"
-        doubts = list(guess.warnings)
+        doubts, accepted = list(guess.warnings), ""
         if not guess.lacks:
-            # A guess that cannot be read raises here, before anything is written.
-            log = read_log(description_of(guess.keys, target), robot)
-            findings = [finding for finding in log.findings if finding.contradiction]
+            findings = self._contradictions(guess, target, robot)
             doubts += [finding.text for finding in findings]
             accepted = ",".join(dict.fromkeys(finding.name for finding in findings))
-            settling = " --task actuators" * ("pd" in guess.keys.get("tau", {}))
-            settling += f" --accept {accepted}  # or settle the doubts first" if accepted else ""
+        command = f"sysid-bench identify {self.model} --log {target}"
+        if "pd" in (guess.keys.get("tau") or guess.proposal or {}):
+            command += " --task actuators"
+        if accepted:
+            command += f" --accept {accepted}  # or settle the doubts first"
         write_new(target, _text(guess, doubts, self.model), self.force)
         return InitLogResult(
             file=str(target),
@@ -70,8 +70,26 @@ class InitLog(Request["InitLogResult"]):
             joints=list(guess.keys["joints"]),
             doubts=doubts,
             unused=list(guess.unused),
-            next=f"sysid-bench identify {self.model} --log {target}{settling}",
+            next=f"complete tau in {target}, then: {command}" if guess.lacks else command,
         )
+
+    def _contradictions(
+        self, guess: "LogGuess", target: Path, robot: "RobotModel"
+    ) -> "list[Finding]":
+        """Contradictions in the recording as guessed; raise UsageError where it cannot be read."""
+        from sysid_bench.signals.log import read_log
+        from sysid_bench.signals.log_description import description_of
+
+        try:
+            log = read_log(description_of(guess.keys, target), robot)
+        except UsageError as error:
+            reason = str(error).removeprefix(f"{target}: ")
+            raise UsageError(
+                f"{', '.join(map(str, self._paths()))}: nothing is written, since the guessed "
+                f"description cannot be read: {reason} Write one by hand: joints, q = {{ columns = "
+                "[...] }, tau."
+            ) from error
+        return [finding for finding in log.findings if finding.contradiction]
 
     def _paths(self) -> list[Path]:
         files = [self.files] if isinstance(self.files, (str, Path)) else self.files

@@ -123,8 +123,9 @@ def main(ctx: click.Context, debug: bool, confidence: float | None, gravity: str
         ctx.with_resource(at_level(confidence))
     for variable in THREADS:  # read once, when numpy is imported
         os.environ.setdefault(variable, "1")
-    if "" not in sys.path:  # "my_lab:Thing" is found in the working folder, as with python -m
-        sys.path.insert(0, "")
+    if "" not in sys.path:  # "my_lab:Thing" is found in the working folder
+        # Behind all others: a file numpy.py there, as of a submission, is not NumPy.
+        sys.path.append("")
 
 
 def execute(arguments: list[str], channel: "JobChannel") -> Mapping[str, Any]:

@@ -92,7 +92,9 @@ def write_recorded_model(
     original = robot.manifest
     if original.text is None:
         original = find_manifest(original.source or str(original.manifest_file or original.path))
-    manifest = replace(original, joints={**robot.manifest.joints, **terms})
+    joints = {**robot.manifest.joints, **terms}
+    # Of a name of its own: suites know an installed robot by the other one.
+    manifest = replace(original, name=target.stem, joints=joints)
     form = format_of(target)
     in_file = _in_file(robot, terms, form)
     manifest = write_values(robot, bodies, in_file, {}, target, manifest) or manifest

@@ -51,8 +51,11 @@ class Table(Request[str]):
         return table_text(self.folder, self.name, self.form or "md")
 
     def shell(self, as_json: bool) -> int:
+        from sysid_bench.commands.run_folder import damage_note, open_run
         from sysid_bench.commands.terminal import print_table
 
+        if note := damage_note(open_run(self.folder).damaged):
+            click.echo(note, err=True)
         print_table(self.run(), self.form)
         return OK
 

@@ -157,14 +157,14 @@ def logs_option(word: str, help: str, when: tuple[str, ...] = ()) -> Any:
 @dataclass_transform(frozen_default=True, field_specifiers=(option, argument, model, field))
 @dataclass(frozen=True)
 class Request(Generic[R]):
-    """What a verb is asked. Derived classes are frozen dataclasses without saying so.
+    """Request of a verb. Derived classes are frozen dataclasses without saying so.
 
     The docstring of the class is the help of the verb, that of `run` the docstring of its Python
     function. Raises UsageError in `__post_init__` for fields that do not go together.
     """
 
     has_json: ClassVar[bool] = True
-    """Whether the shell takes --json."""
+    """True where the shell takes --json."""
 
     def __init_subclass__(cls, **words: Any) -> None:
         super().__init_subclass__(**words)

@@ -1,10 +1,12 @@
 """Base of the results that commands return: frozen records that also read as mappings."""
 
 import json
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from html import escape
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final
 
@@ -98,6 +100,29 @@ def value_text(value: float | None, absent: str = "-") -> str:
 def estimate_text(value: float | None, std: float | None, absent: str = "-") -> str:
     """Value and one standard deviation, as far as they are known."""
     return value_text(value, absent) + ("" if value is None or std is None else f" ± {std:.2g}")
+
+
+def short_names(names: Iterable[str]) -> tuple[dict[str, str], str]:
+    """Names without the words that all begin and end with, and what was left out: of
+    "panda_joint1", ... " (panda_*)"."""
+    words = {name: re.findall(r"[^_./-]*[_./-]?", name)[:-1] for name in names}
+    if len(words) < 2:
+        return {name: name for name in words}, ""
+    first = _alike(words.values())
+    ends = [[word.strip("_./-") for word in reversed(own[first:])] for own in words.values()]
+    last = _alike(ends)
+    found = {name: "".join(own[first : len(own) - last]) for name, own in words.items()}
+    if not (first or last) or not all(found.values()):
+        return {name: name for name in words}, ""
+    one = next(iter(words.values()))
+    left_out = f"{''.join(one[:first])}*{'_' * (last > 0)}{''.join(one[len(one) - last :])}"
+    return {name: short.rstrip("_./-") for name, short in found.items()}, f" ({left_out})"
+
+
+def _alike(rows: Iterable[Sequence[str]]) -> int:
+    """Number of first words that all rows share."""
+    columns = zip(*rows, strict=False)
+    return sum(1 for _ in takewhile(lambda column: len(set(column)) == 1, columns))
 
 
 def interval_text(low: float, high: float) -> str:

@@ -2,13 +2,13 @@
 
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from sysid_bench.canonical_json import canonical_hash
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.fingerprint import other_code, stale_note
 from sysid_bench.harness.stored_run import RunFolder
@@ -82,9 +82,21 @@ def rerun_command(folder: str | Path, cell: str) -> str:
     return f"sysid-bench run {shlex.quote(str(folder))} --select 'id == \"{cell}\"' --rerun all"
 
 
-def stale_sentence(run: RunFolder) -> str:
-    """Return a sentence on the rows that are from other code than now; empty for none."""
-    return stale_note(other_code(run, run.row_counts()))
+def damage_note(damaged: Sequence[str]) -> str:
+    """Return the sentence on rows of `RunFolder.damaged`; empty for none."""
+    if not damaged:
+        return ""
+    lines = "1 row is" if len(damaged) == 1 else f"{len(damaged)} rows are"
+    return (
+        f"{lines} damaged or changed after being written, and counted as open: "
+        f"{first_names(damaged)}; run again: only cells without a row run."
+    )
+
+
+def row_notes(run: RunFolder) -> str:
+    """Return sentences on damaged rows and on those of other code than now; empty for none."""
+    stale = stale_note(other_code(run, run.row_counts()))
+    return " ".join(filter(None, [damage_note(run.damaged), stale]))
 
 
 def run_origin(run: RunFolder, rows: int) -> Origin:

@@ -16,9 +16,9 @@ from sysid_bench.commands.run_folder import (
     condition,
     no_rows,
     open_run,
+    row_notes,
     row_selection,
     run_origin,
-    stale_sentence,
     write_whole,
 )
 from sysid_bench.errors import UsageError, reason_of, unknown_name
@@ -66,7 +66,7 @@ def write_report_of(folder: str | Path) -> Path:
         tables, ranked = tuple(_tables(run, frames)), _rankings(run, frames)
         tested = claims_of(run)
         listings = (*paper_tables(run), *([tested.listing] if tested else []))
-        note = stale_sentence(run)
+        note = row_notes(run)
         origin = replace(run_origin(run, len(frames.cells)), note=note)
         figures = run.path / "figures"
         for place in (run.path / "tables", figures):
@@ -109,7 +109,7 @@ def table_text(folder: str | Path, name: str, form: str) -> str:
     with at_level(run.suite.confidence):
         origin = run_origin(run, len(frames.cells))
         if form == "latex":
-            origin = replace(origin, note=stale_sentence(run))
+            origin = replace(origin, note=row_notes(run))
         tables = _by_name(_tables(run, frames, name))
         if name not in tables and name in [entry.name for entry in run.suite.paper]:
             for listing in paper_tables(run, name):

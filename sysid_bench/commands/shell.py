@@ -36,14 +36,14 @@ _PATHS: Final[Mapping[str, Mapping[str, Any]]] = {
     "any": {"exists": True},
     "new": {},
 }
-"""What the path of an option has to be; others need not exist."""
+"""Required kind of an option's path; others need not exist."""
 _HELP: Final = ("-h", "--help")
 HELP_ALL: Final = "--help-all"
 _JSON: Final = "as_json"
 GRAVITY: Final = "sysid_bench.gravity"
 """Key of the gravity on the command line in the data of click's contexts."""
 MODELS: Final = "robots files"
-"""What completes the fields that name a model."""
+"""Completion of the fields that name a model."""
 _MODELS: Final = "basis crosscheck diagnose excite frames identify lint record robot twin"
 _REMOVED: Final = {
     "--assets": (_MODELS, "write it behind the file, 'arm.xml?assets=meshes'"),
@@ -156,8 +156,9 @@ def _execute(request: type[Request[Any]], specs: Mapping[str, Option], **values:
     given = {
         key: _value(specs[key], value)
         for key, value in values.items()
-        # Only what was typed: the defaults of the request hold, whatever help prints as one.
-        if context.get_parameter_source(key) is not ParameterSource.DEFAULT
+        # Only what was typed: the defaults of the request hold, whatever help prints as one. Click
+        # 8.2 takes absent arguments for typed ones.
+        if context.get_parameter_source(key) is not ParameterSource.DEFAULT and value != ()
     }
     if gravity := context.meta.get(GRAVITY):
         given |= _with_gravity(specs, given, gravity)

@@ -1,4 +1,4 @@
-"""What verbs ask of tasks: their joint terms, before anything is loaded, and verbs of their own."""
+"""Queries to tasks: their joint terms, before anything is loaded, and verbs of their own."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, cast

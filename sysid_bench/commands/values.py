@@ -181,7 +181,7 @@ def parse_motors(text: str) -> dict[str, dict[str, Any]]:
     try:
         table = parse_toml(read_text(Path(text)))
     except FileNotFoundError as error:
-        raise UsageError(f"There is no file {text!r} of motors.") from error
+        raise UsageError(f"The file {text!r} of motors does not exist.") from error
     except OSError as error:
         raise UsageError(f"{text} cannot be read: {error.strerror or error}.") from error
     except ValueError as error:

@@ -46,11 +46,14 @@ def supervise(
     # In a worker already: it executes, or each would start another one.
     if _channel.get() or not named:
         return None
+    from sysid_bench.experiments.spec import refuse_beside_seeds
     from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
     from sysid_bench.plugin_names import is_third_party
 
-    if not any(is_third_party(kind, name) for kind, name in named):
+    foreign = [name for kind, name in named if is_third_party(kind, name)]
+    if not foreign:
         return None
+    refuse_beside_seeds(str(foreign[0]))
 
     context = click.get_current_context()
     root = context.find_root()

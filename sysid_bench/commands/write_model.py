@@ -3,6 +3,7 @@
 import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -67,7 +68,7 @@ def _check_target(target: Path, sources: Sequence[Path | None]) -> None:
         raise UsageError(f"{str(target)!r} is the model itself; name another file.")
     if not is_folder(target.parent):
         folder = str(target.parent)
-        raise UsageError(f"There is no folder {folder!r} to write {target.name} to.")
+        raise UsageError(f"The folder {folder!r} of {target.name} does not exist.")
 
 
 def check_output_files(
@@ -75,7 +76,7 @@ def check_output_files(
 ) -> None:
     """Raise UsageError, before anything runs, where a file to be `written` (model, JSON, figure) is
     one of those that `logs` read, where the JSON would replace a file that is not a result, or
-    where the `manifest` beside a model would replace a file of another kind."""
+    where the `manifest` beside a model would replace that of another model, or another file."""
     read = [file for log in logs for file in (log.source, *log.files)]
     for target in (*written, manifest):
         if target is None or not is_file(target):
@@ -86,22 +87,25 @@ def check_output_files(
                 f"{str(target)!r} is a recording or its description, and would be overwritten"
                 f"{beside}; name another file."
             )
-        if beside and not _is_manifest(target):
+        model = written[0]
+        if beside and model is not None and (owner := _model_of(target)) != model.name:
+            kind = "not a robot's manifest" if owner is None else f"the manifest of {owner}"
             raise UsageError(
-                f"{str(target)!r} is not a robot's manifest, and would be overwritten{beside}; "
-                "name another file."
+                f"{str(target)!r} is {kind}, and would be overwritten{beside} {model.name}; name "
+                "another file."
             )
     answer = written[1] if len(written) > 1 else None
     if answer is not None:
         check_replaceable(answer, ('{\n  "model"',), "a result of identify")
 
 
-def _is_manifest(file: Path) -> bool:
-    """Test whether a TOML file has the two keys that every robot.toml has."""
+def _model_of(file: Path) -> str | None:
+    """Return the model file that a robot.toml names, None for another file."""
     try:
-        return {"name", "file"} <= tomllib.loads(file.read_text(encoding="utf-8")).keys()
+        keys = tomllib.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return False
+        return None
+    return str(keys["file"]) if {"name", "file"} <= keys.keys() else None
 
 
 def _is_same(target: Path, source: Path | None) -> bool:
@@ -157,7 +161,8 @@ def write_model(
     if described is not None:
         from sysid_bench.models.writing.manifest_writer import manifest_text  # loads tomlkit
 
-        write_text(target.with_suffix(".toml"), manifest_text(described, target.name))
+        named = replace(described, name=target.stem)  # another robot than an installed one
+        write_text(target.with_suffix(".toml"), manifest_text(named, target.name))
     return at_bound
 
 

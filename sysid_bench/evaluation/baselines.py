@@ -1,4 +1,4 @@
-"""What an answer has to be better than: predictions of the test without an identification.
+"""Baselines of an answer: predictions of the test without an identification.
 
 The null model takes the bodies as the model file has them (of a simulated robot: as its prior) and
 fits joint terms alone; trivial are zero torque and the mean torque of the training. The floor is

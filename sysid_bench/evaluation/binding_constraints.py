@@ -1,4 +1,4 @@
-"""What the constraints of a feasible fit cost: those that bind, left out one by one."""
+"""Costs of the constraints of a feasible fit: those that bind, left out one by one."""
 
 from collections.abc import Mapping
 from typing import Any, Final

@@ -182,9 +182,9 @@ def share_interval(hits: float, count: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """What is drawn again with replacement, `draws` times with a seed of its own: the same draws in
-    every figure, which depends on its own values alone. There is no interval for fewer than
-    `fewest` of them."""
+    """Units that are drawn again with replacement, `draws` times with a seed of its own: the same
+    draws in every figure, which depends on its own values alone. There is no interval for fewer
+    than `fewest` of them."""
 
     unit: str
     draws: int

@@ -52,7 +52,7 @@ def check_output(export: str | None, out: str | Path | None) -> str:
     if out is None and export is not None:
         raise UsageError("Where does the export go? Give a file: -o FILE.")
     if out is not None and not is_folder(Path(out).parent):
-        raise UsageError(f"There is no folder {str(Path(out).parent)!r} to write the motion to.")
+        raise UsageError(f"The folder {str(Path(out).parent)!r} of the motion does not exist.")
     if out is not None:
         check_replaceable(Path(out), STARTS, "a motion that excite wrote")
     return kind
@@ -102,9 +102,13 @@ def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
     import pandas as pd
 
     if not is_file(file):
-        raise UsageError(f"There is no file {str(file)!r} of a recorded motion.")
+        raise UsageError(f"The file {str(file)!r} of a recorded motion does not exist.")
     try:
-        table = pd.read_csv(io.StringIO(read_text(file))).rename(columns=cell_text)
+        # Before 3.1 pandas is by default inexact in the last digit.
+        old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
+        exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
+        table = pd.read_csv(io.StringIO(read_text(file)), **exact)
+        table = table.rename(columns=cell_text)
     except (OSError, ValueError) as error:  # those of pandas are ValueErrors
         raise UsageError(f"{file} is not a table of a recorded motion: {error}.") from error
     missing = [column for column in columns if column not in table]

@@ -25,11 +25,11 @@ from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.paper_data import write_paper_data
 from sysid_bench.experiments.recorded.prepare import prepare_recorded
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
-from sysid_bench.experiments.spec import SEALED, ExperimentSpec
+from sysid_bench.experiments.spec import SEALED, ExperimentSpec, refuse_beside_seeds
 from sysid_bench.experiments.third_party import loaded_sources, read_package_files
 from sysid_bench.identification.identify import fit_fields, identify
 from sysid_bench.metrics import REASONS, metric_fields
-from sysid_bench.plugin_names import build, module_files
+from sysid_bench.plugin_names import build, is_of_package, module_files
 from sysid_bench.regressors.kernel_c import kernel_times
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.version_fields import version_fields
@@ -219,7 +219,13 @@ def _limited(stats: Mapping[str, Any]) -> Row:
 
 
 def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, LoadedRobot]:
-    """The specification of an `argument`, and its robot."""
+    """The specification of an `argument`, and its robot.
+
+    Raises UsageError where code of others makes its data or metrics beside secret seeds.
+    """
+    code = argument["third_party"]
+    if code["data"] or code["metrics"]:
+        refuse_beside_seeds("A plug-in of this experiment's data or metrics")
     spec = ExperimentSpec.from_json(argument["experiment"])
     folders = argument["robots_dir"], argument["folder"]
     return spec, loaded_robot(spec.robot, spec.payload, *folders, spec.free_base)
@@ -256,7 +262,9 @@ def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
 
 
 def estimator_of(estimator: Mapping[str, Any]) -> Any:
-    """The estimator plug-in of an entry of `argument["estimators"]`."""
+    """The estimator plug-in of an entry of `argument["estimators"]`, in this process."""
+    if not is_of_package("estimator", estimator["use"]):
+        refuse_beside_seeds(f"The estimator {estimator['use']!r}")
     return build("estimator", estimator_settings(estimator))
 
 

@@ -60,7 +60,7 @@ class ExperimentData(Generic[S_co]):
 
     @cached_property
     def baselines(self) -> Baselines:
-        """What an answer has to be better than."""
+        """Baselines that an answer has to beat."""
         return baselines(self.problem, self.held_out, self.floor)
 
     def score(self, method: Any, estimate: Estimate) -> Row:

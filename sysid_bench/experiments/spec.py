@@ -76,7 +76,7 @@ class ExperimentSpec:
 
     @property
     def seeded_robot(self) -> str:
-        """What seeds depend on for the robot: its name, or the model of a file that was given by
+        """Identity of the robot for its seeds: its name, or the model of a file that was given by
         its path, since a path can be written in many ways."""
         return self.robot if self.content is None else self.content
 
@@ -258,6 +258,17 @@ def seed_of_hash(seal: str) -> str:
             f"{', '.join(f'{known[:12]}...' for known in seeds) or 'none'}."
         )
     return seeds[seal]
+
+
+def refuse_beside_seeds(what: str) -> None:
+    """Raise UsageError where `what`, code of others that is not confined, could read the file of
+    secret seeds."""
+    if os.environ.get(SEEDS):
+        raise UsageError(
+            f"{what} is code of others that would run where the file of {SEEDS} can be read, and "
+            "with it the truth of sealed plants. With secret seeds estimators of suites alone may "
+            f"be of others; unset {SEEDS} for anything else."
+        )
 
 
 @cache

@@ -29,7 +29,7 @@ class Work:
 
 
 class RunEnd(NamedTuple):
-    """How the work ended, and what the user should know of the machines that did it."""
+    """End of the work, and notes for the user on the machines that did it."""
 
     ending: Ending
     notes: tuple[str, ...] = ()

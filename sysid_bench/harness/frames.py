@@ -445,8 +445,8 @@ class FrameFiles:
 
 
 class RowKind(NamedTuple):
-    """What rows that are counted together share. `cell` is the offset (bytes) in plan.jsonl of a
-    cell with the code and models of theirs, `sources` the canonical JSON of what they loaded."""
+    """Values shared by rows that are counted together. `cell` is the offset (bytes) in plan.jsonl
+    of a cell with their code and models, `sources` the canonical JSON of what they loaded."""
 
     cell: int
     status: str

@@ -12,7 +12,8 @@ from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.comparison.run_values import ROUNDING
 from sysid_bench.harness.stored_run import RunFolder
-from sysid_bench.harness.work.row_files import RowStart, hash_error
+from sysid_bench.harness.work.row_files import ROWS_DIGEST, RowStart, hash_error, rows_digest
+from sysid_bench.types import Row
 from sysid_bench.words import MACHINE_FIELDS
 
 _WORTH: Final = ("ok", "unsupported", "skipped", "failed", "crash", "memory", "timeout", "lost")
@@ -67,9 +68,25 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
             # Only places are in memory; the rows of all runs together may be larger than it.
             best = min(candidates[cell], key=lambda row: _WORTH.index(row.status))
             writer.write(best.place.read())
+    folder.write_environment(folder.environment | {ROWS_DIGEST: rows_digest(out / "cells")})
     _copy_artifacts(folders, out)
     folder.write_frames()
     return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice, rounded)
+
+
+def contradictions(folder: RunFolder) -> list[str]:
+    """Return the cells with several ok rows of one code that are not equal up to rounding: of a
+    method that is not deterministic, or of a file that was added."""
+    # Rows are read where there are more than cells alone: 10,000 take 7 s.
+    if folder.line_count <= len(folder.first_fields().rows):
+        return []
+    found = dict[tuple[str, Any], list[_Candidate]]()
+    for row, place in folder.rows_with_origin():
+        if not isinstance(row, bytes) and row["status"] == "ok":
+            one = _candidate(row, place)
+            found.setdefault((row["id"], one.fingerprint), []).append(one)
+    several = {key: rows for key, rows in found.items() if len(_ok(rows, "result")) > 1}
+    return [cell for (cell, _), rows in several.items() if not _agree(rows)]
 
 
 _KERNELS: Final = 1e-12
@@ -119,10 +136,11 @@ def _same_plan(folders: Sequence[RunFolder]) -> tuple[str, ...]:
 
 def _environment(folders: Sequence[RunFolder]) -> dict[str, Any]:
     """Return the environment of the first run, with those of all as `machines`."""
-    every = [folder.environment for folder in folders]
-    machines = [entry for env in every for entry in env.get("machines", [env])]
+    of_run = ("machines", ROWS_DIGEST)
+    found = chain.from_iterable(folder.machines for folder in folders)
+    machines = [{key: x for key, x in one.items() if key not in of_run} for one in found]
     unique = {canonical(machine): machine for machine in machines}
-    return {**every[0], "machines": list(unique.values())}
+    return {**machines[0], "machines": list(unique.values())}
 
 
 def _copy_artifacts(folders: Sequence[RunFolder], out: Path) -> None:
@@ -144,6 +162,18 @@ class _Candidate(NamedTuple):
     place: RowStart
 
 
+def _candidate(row: Row, place: RowStart) -> _Candidate:
+    # Bit by bit: rows of one code and one set of libraries are expected to be equal.
+    result = {key: value for key, value in row.items() if key not in _EXCEPT}
+    return _Candidate(
+        row["status"],
+        row.get("fingerprint"),
+        sys.intern(canonical(row.get("versions"))),
+        canonical_hash(result) if row["status"] == "ok" else "",
+        place,
+    )
+
+
 def _candidates(
     folders: Iterable[RunFolder], planned: frozenset[str]
 ) -> tuple[dict[str, list[_Candidate]], tuple[str, ...]]:
@@ -159,15 +189,7 @@ def _candidates(
                 if cell is not None and cell in planned:
                     changed[cell] = place
             elif row["id"] in planned:
-                # Bit by bit: rows of one code and one set of libraries are expected to be equal.
-                result = {key: value for key, value in row.items() if key not in _EXCEPT}
-                last[row["id"]] = _Candidate(
-                    row["status"],
-                    row.get("fingerprint"),
-                    sys.intern(canonical(row.get("versions"))),
-                    canonical_hash(result) if row["status"] == "ok" else "",
-                    place,
-                )
+                last[row["id"]] = _candidate(row, place)
         for cell, candidate in last.items():
             found.setdefault(cell, []).append(candidate)
         places += [f"{at.path}:{at.line}" for cell, at in changed.items() if cell not in last]

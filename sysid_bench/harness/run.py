@@ -18,6 +18,7 @@ from typing import Any, Final, Literal
 
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
+from sysid_bench.experiments.spec import SEEDS
 from sysid_bench.experiments.third_party import NO_PARTS, third_party_parts
 from sysid_bench.harness.cell import Cell, PlannedRow, fields
 from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
@@ -32,7 +33,7 @@ from sysid_bench.harness.suite.load_suite import (
 )
 from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.work.blind_process import wanted_isolation
+from sysid_bench.harness.work.confinement import wanted_isolation
 from sysid_bench.harness.work.row_files import ROWS_DIGEST, rows_digest
 from sysid_bench.harness.work.supervise import Ending, OnEvent, no_progress
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
@@ -103,9 +104,12 @@ def run(
     # An executor that is not there is an error before the suite is read.
     chosen = executor_of(executor)
     source, overrides = suite_or_folder, overrides or {}
-    if not isinstance(source, Suite) and is_folder(Path(source)):
+    is_stored = not isinstance(source, Suite) and is_folder(Path(source))
+    if is_stored:
         # A run that is named goes on with its frozen suite, whatever its file says today.
-        folder = _open_run(Path(source), out, overrides)
+        folder = _open_run(Path(str(source)), out, overrides)
+        if os.environ.get(SEEDS):  # a maintainer runs the sealed cells of a submission
+            folder.check_path()
     else:
         with nullcontext(names) if names else worker_names(robots_dir) as known:
             suite = source
@@ -118,7 +122,8 @@ def run(
     third_party = third_party_names(folder.suite, robots_dir)
     if note := code_note(third_party):
         on_event("code", {"note": note})  # before any of it runs in a cell
-    return _run_selected(request, folder, chosen, on_event, bool(third_party))
+    # The plan of a run that somebody else gave may name code that its suite does not.
+    return _run_selected(request, folder, chosen, on_event, is_stored or bool(third_party))
 
 
 @dataclass(frozen=True)

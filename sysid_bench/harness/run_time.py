@@ -38,7 +38,7 @@ class RunTime:
 
     @property
     def source(self) -> str:
-        """Where the estimate comes from, in words."""
+        """Origin of the estimate, in words."""
         if not self.known:
             return "from a table"
         rows = f"rows of {', '.join(self.runs)}" if self.runs else "rows of similar cells"
@@ -85,12 +85,12 @@ def _age(folder: Path) -> float:
 
 
 def _experiment_keys(identifier: str, row: Mapping[str, Any]) -> tuple[Key, ...]:
-    """What an experiment is found by, the closest first."""
+    """Keys by which an experiment is found, the closest first."""
     return (identifier,), (row["robot"], row["task"], row["simulation"])
 
 
 def _estimator_keys(identifier: str, row: Mapping[str, Any]) -> tuple[Key, ...]:
-    """What the work of an estimator is found by, the closest first."""
+    """Keys by which the work of an estimator is found, the closest first."""
     robot = (row["robot"], row["task"], row["simulation"], row["estimator"])
     return (identifier,), robot, (row["estimator"],)
 

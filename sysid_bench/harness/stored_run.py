@@ -13,7 +13,7 @@ import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -50,6 +50,8 @@ from sysid_bench.harness.work.row_files import (
     RowWriter,
     StoredRows,
     find_row,
+    hash_error,
+    lines,
     new_row_file,
     read_rows,
     row_files,
@@ -83,7 +85,7 @@ def run_names(*places: Path) -> list[str]:
 
 
 def missing_run(path: Path) -> UsageError:
-    """What a path is in place of a run, the runs that there are, and how to make one."""
+    """Error text for a path that is not a run: what it is, the known runs, and how to make one."""
     if is_folder(path):
         why = f"it has no {PLAN}"
     else:
@@ -170,6 +172,19 @@ class RunFolder:
             raise missing_run(path)
         return cls(path)
 
+    def check_path(self) -> None:
+        """Raise UsageError where Python looks for modules in this folder: of a run that somebody
+        else gave, a file with the name of a library, or sitecustomize.py, would be part of the
+        processes that hold the truth."""
+        here = self.path.resolve()
+        for entry in (entry or os.getcwd() for entry in sys.path):
+            if Path(entry).resolve().is_relative_to(here):
+                raise UsageError(
+                    f"Python looks for modules in {entry!r}, and would take those of "
+                    f"{str(self.path)!r} for its own: leave that folder, or take it out of "
+                    "PYTHONPATH. Methods in it are named 'file:mine.py:Mine'."
+                )
+
     @cached_property
     def suite(self) -> Suite:
         """The suite as it was frozen."""
@@ -203,6 +218,13 @@ class RunFolder:
     def environment(self) -> dict[str, Any]:
         """Versions, CPU, BLAS and git of the machine that last ran cells."""
         return self._read_object("env.json")
+
+    @property
+    def machines(self) -> list[dict[str, Any]]:
+        """Entries of `environment` for each machine that has computed rows."""
+        others = self.environment.get("machines", [])
+        listed = others.values() if isinstance(others, dict) else others
+        return [self.environment, *(one for one in listed if isinstance(one, dict))]
 
     @property
     def models(self) -> dict[str, ModelRecord]:
@@ -239,6 +261,15 @@ class RunFolder:
         """Size of the row files."""
         return sum(path.stat().st_size for path in row_files(self._cells))
 
+    @property
+    def line_count(self) -> int:
+        """Number of lines of the row files, of one cell as many as it has rows."""
+        count = 0
+        for path in row_files(self._cells):
+            with path.open("rb") as file:
+                count += sum(block.count(b"\n") for block in iter(partial(file.read, 2**20), b""))
+        return count
+
     def rows(self, cells: Collection[str] | None = None) -> StoredRows:
         """Read the rows stored so far, or those of some cells."""
         return read_rows(self._cells, cells=cells, hashed=self.has_hashes)
@@ -268,6 +299,30 @@ class RunFolder:
         rest = read_rows(self._cells, start=start, fields=HEAD, hashed=self.has_hashes)
         rows |= rest.rows
         return StoredRows(rows, rest.torn, (*garbled, *rest.garbled))
+
+    @cached_property
+    def damaged(self) -> tuple[str, ...]:
+        """Lines that are not rows of their writer any more ("file:line (cell id)"), damaged or
+        changed afterwards, whose cell has no other row; without an id while any cell is open."""
+        coverage = read_coverage(self.path, row_files(self._cells))
+        start, known = (coverage.start, coverage.garbled) if coverage else ({}, ())
+        rest = read_rows(self._cells, start=start, fields=HEAD[:1], hashed=self.has_hashes)
+        places = (*known, *rest.garbled)
+        if not places:  # without reading any row twice
+            return ()
+        rows = self.first_fields().rows.keys()
+        found = []
+        for place in places:
+            name, _, number = place.rpartition(":")  # a folder in place of a file has no line
+            cell = None
+            if name:
+                for line in islice(lines(self._cells / name), int(number) - 1, int(number)):
+                    cell = hash_error(line.text, hashed=self.has_hashes)
+            if cell in self.planned and cell not in rows:
+                found.append(f"{place} (cell {cell})")
+            elif cell is None and not rows >= {*self.planned}:
+                found.append(place)
+        return tuple(found)
 
     def row_counts(self) -> RowCounts:
         """Count the rows of planned cells; no row is read where a consolidation counted all."""
@@ -441,7 +496,7 @@ def frames_of_run(
             # Growth by a factor keeps the work of all consolidations in proportion to the rows.
             due = int(_GROWTH * size) + FEW_BYTES
             process = subprocess.Popen(
-                [sys.executable, "-m", __name__, str(folder.path), str(os.getpid())],
+                [sys.executable, "-P", "-m", __name__, str(folder.path), str(os.getpid())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,

@@ -1,5 +1,9 @@
-"""Names whose third-party plug-ins are imported and built in a worker process, one for a suite."""
+"""Names whose third-party plug-ins are imported and built in a worker process, one for a suite.
 
+It is confined as a method is that is scored: planning gives third-party code nothing to read.
+"""
+
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -10,7 +14,15 @@ from sysid_bench import plugin_names
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.harness.suite.names import CheckedName, Names, default_names, name_error
+from sysid_bench.experiments.spec import SEEDS
+from sysid_bench.harness.suite.names import (
+    CheckedName,
+    Names,
+    default_names,
+    name_error,
+    static_names,
+)
+from sysid_bench.harness.work.confinement import is_confined
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.metrics import metric_of_plugin, metric_record
 
@@ -23,8 +35,13 @@ SECONDS: Final = 60.0
 
 @contextmanager
 def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
-    """Yield the names of this installation; third-party code stays out of this process."""
+    """Yield the names of this installation; third-party code stays out of this process.
+
+    Where secret seeds are here, and no namespaces to hide them, it runs nowhere: its source alone
+    is read.
+    """
     own, answers = default_names(robots_dir), dict[str, Mapping[str, Any]]()
+    unseen, secret = static_names(robots_dir), bool(os.environ.get(SEEDS))
 
     def ask(argument: Mapping[str, Any]) -> Mapping[str, Any]:
         key = canonical(argument)
@@ -32,7 +49,8 @@ def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
         if key not in answers:
             title = f"making {argument['kind']} {argument['use']!r}"
             try:
-                answers[key] = worker.call(f"{__name__}:build_plugin", argument, title)
+                given = {**argument, "secret": secret}
+                answers[key] = worker.call(f"{__name__}:build_plugin", given, title)
             except WorkerError as error:
                 answers[key] = {"error": str(error)}
         if "error" in answers[key]:
@@ -43,21 +61,27 @@ def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
         use = spec.get("use")
         if not isinstance(use, str) or not plugin_names.is_third_party(kind, use):
             return own.plugin(kind, spec)
-        return ask({"kind": kind, "use": use, "spec": dict(spec)}).get("metric")
+        answer = ask({"kind": kind, "use": use, "spec": dict(spec)})
+        return unseen.plugin(kind, spec) if "unseen" in answer else answer.get("metric")
 
     def task(name: str, folder: Path | None) -> "TaskDefinition | CheckedName":
         if not plugin_names.is_third_party("task", name):
             return own.task(name, folder)
         place = None if folder is None else str(folder)
         answer = ask({"kind": "task", "use": name, "folder": place})
+        if "unseen" in answer:
+            return unseen.task(name, folder)
         return CheckedName(name, supports_recordings=answer["supports_recordings"])
 
-    with CallWorker(SECONDS) as worker:
+    with CallWorker(SECONDS, is_confined=True) as worker:
         yield replace(own, plugin=plugin, task=task)
 
 
 def build_plugin(argument: Mapping[str, Any], channel: JobChannel) -> dict[str, Any]:
-    """Import and build one plug-in; return what planning needs of it, or {error}."""
+    """Import and build one plug-in; return what planning needs of it, {error}, or {unseen} of one
+    that could read a secret here."""
+    if argument["secret"] and not is_confined():
+        return {"unseen": True}
     kind, folder = argument["kind"], argument.get("folder")
     try:
         if kind == "task":

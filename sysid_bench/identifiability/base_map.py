@@ -87,7 +87,7 @@ class BaseCount(NamedTuple):
 
     @property
     def dropped_text(self) -> str:
-        """What the rank rule drops, as an addition in brackets; empty where it drops rounding."""
+        """Directions that the rank rule drops, in brackets; empty where it drops rounding."""
         if not self.near_degenerate or self.gap is None:
             return ""
         return (

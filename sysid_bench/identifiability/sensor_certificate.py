@@ -39,7 +39,7 @@ SPARSE: Final = 0.1
 
 @dataclass(frozen=True)
 class _DrivePrediction:
-    """Whether a sensor predicts the torque of one drive, in N m or N (`unit`).
+    """Verdict on the torque of one drive, in N m or N (`unit`): predicted by a sensor or not.
 
     `residual`: rho_k; `dropped`: the same against the base parameters that estimators keep, a
     relative error that nearly dependent parameters can cause; `followers`: other joints that the
@@ -75,7 +75,7 @@ class _Addition:
 
 @dataclass(frozen=True)
 class SensorCertificate:
-    """What the wrench of a sensor predicts in every motion, by structure alone.
+    """Torques that the wrench of a sensor predicts in every motion, by structure alone.
 
     `coupled`: joints behind the sensor are coupled, so that Proposition 1 does not apply; `rank`:
     base parameters of the wrench; `partial`: drives that also move joints proximal to the sensor.

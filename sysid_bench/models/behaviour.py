@@ -192,11 +192,10 @@ def _rounded(numbers: Sequence[float] | Array, largest: float = 0.0) -> Values:
     """Return numbers with nine digits of the greatest of them, zeros where all are rounding beside
     the `largest` of their kind; infinities as texts. Processors differ in the last bits only."""
     size = _size(numbers)
-    if size <= _NOISE * largest:
-        size = 0.0
-    step = 10.0 ** (np.floor(np.log10(size)) + 1 - _DIGITS) if size else np.inf
+    are_zero = size <= _NOISE * largest
+    step = 1.0 if are_zero else 10.0 ** (np.floor(np.log10(size)) + 1 - _DIGITS)
     return [
-        float(f"{round(x / step) * step if size else 0.0:.{_DIGITS}g}") + 0.0  # no -0
+        float(f"{0.0 if are_zero else round(x / step) * step:.{_DIGITS}g}") + 0.0  # no -0
         if np.isfinite(x)
         else str(float(x))
         for x in np.asarray(numbers, dtype=float).tolist()

@@ -53,8 +53,6 @@ def _are_same(a: Values | None, b: Values | None) -> bool:
     except ValueError:  # names
         return False
     finite = np.isfinite(both).all(axis=0)
-    gap = np.abs(both[0] - both[1], where=finite, out=np.zeros(len(a)))
-    return bool(
-        (both[0] == both[1])[~finite].all()
-        and gap.max(initial=0.0) <= _SAME * np.abs(both[:, finite]).max(initial=0.0)
-    )
+    numbers = both[:, finite]
+    limit = _SAME * np.abs(numbers).max(initial=0.0)
+    return bool((both[0] == both[1])[~finite].all() and (np.ptp(numbers, axis=0) <= limit).all())

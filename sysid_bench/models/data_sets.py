@@ -368,7 +368,7 @@ def fetch_files(found: DataSetFiles, out: Path | None) -> dict[str, Path]:
 
 
 def _complete_file(found: DataSetFiles, file: DataFile, out: Path | None) -> Path | None:
-    """Where a file lies whole, in `out` if given; None where it has to be loaded."""
+    """Path of a file that is complete, in `out` if given; None where it has to be loaded."""
     others = found.candidates(file.path)
     if out is not None:
         others = list(filter(is_file, [out / file.path]))

@@ -216,7 +216,7 @@ def _numbered_lines(path: Path) -> list[tuple[int, str]]:
         # utf-8-sig: spreadsheets begin a file with a byte order mark.
         lines = read_text(path, "utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"There is no readable table {str(path)!r}: {error}.") from error
+        raise UsageError(f"The table {str(path)!r} cannot be read: {error}.") from error
     return [(number, line.strip()) for number, line in enumerate(lines, start=1) if line.strip()]
 
 

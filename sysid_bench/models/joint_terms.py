@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar
 import mujoco
 import numpy as np
 
-from sysid_bench.errors import ModelError, unknown_name
+from sysid_bench.errors import ModelError, first_names, unknown_name
 from sysid_bench.models.manifest import JointTerms as ManifestTerms
 from sysid_bench.models.manifest import Limits, Manifest
 from sysid_bench.models.robot import TYPE_NAMES, Joint, JointLimits, JointTerms
@@ -38,6 +38,24 @@ def apply_joint_terms(spec: mujoco.MjSpec, manifest: Manifest) -> None:
                 if value is not None:
                     like = getattr(joint, attribute)
                     setattr(joint, attribute, linear_polynomial(like, value))
+
+
+def overridden_terms(spec: mujoco.MjSpec, manifest: Manifest) -> Iterator[str]:
+    """Yield, in words, the terms of a model file in whose place a manifest has other values."""
+    for term, attribute in _ATTRIBUTES.items():
+        texts = []
+        for joint in spec.joints if term != "spring_reference" else ():
+            stated = [getattr(terms, term) for terms in _manifest_terms(manifest, joint.name)]
+            value = next((x for x in reversed(stated) if x is not None), None)
+            own = float(np.ravel(getattr(joint, attribute))[0])
+            # A written model and its manifest have the same value, with other digits.
+            if value is not None and own and abs(value - own) > 1e-6 * abs(own):
+                texts.append(f"{joint.name} {value:.4g} (file: {own:.4g})")
+        if texts:
+            yield (
+                f"{attribute} of {manifest.path.name} replaced by the {term} of "
+                f"{(manifest.manifest_file or manifest.path).name}: {first_names(texts)}"
+            )
 
 
 def model_joint_terms(

@@ -40,7 +40,7 @@ SEVERITIES: Final[tuple[Severity, ...]] = ("error", "warning", "note")
 
 @dataclass(frozen=True)
 class LintFinding:
-    """What is wrong with an element of a model: `rule` names the check, `element` the body or joint
+    """Finding on an element of a model: `rule` names the check, `element` the body or joint
     ("" for the whole model), `advice` says what to do, `line` where it is in the file."""
 
     rule: str

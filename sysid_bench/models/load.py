@@ -20,6 +20,7 @@ from sysid_bench.models.coupling.coordinates import coordinates_of, with_limits,
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf import mjcf_spec
+from sysid_bench.models.mjcf_inertia import principal_inertias
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, RobotModel
 from sysid_bench.models.tree import tree_of
@@ -91,6 +92,7 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
         except (ValueError, mujoco.FatalError) as error:
             reason = " ".join(str(error).split())
             raise ModelError(f"MuJoCo cannot read {file}: {reason}") from error
+        principal_inertias(spec, urdf.text)
         if manifest.couplings:
             ignored = [*coupled.mimic_equalities(spec, urdf.mimic)]
         else:
@@ -118,6 +120,7 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
 def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source) -> RobotModel:
     spec = source.spec
     base_repairs = assembly.add_free_base(spec, manifest.name) if free else ()
+    overridden = tuple(joint_terms.overridden_terms(spec, manifest))
     bare = _bare_model(spec, manifest)
     names = _body_names(bare)
     tool, pose = assembly.tool_frame(bare, manifest, names)
@@ -131,7 +134,8 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
     mj = _compile(spec, manifest) if payload or equalities is not None else bare
     joints, body_names = _joints(mj), _body_names(mj)
     _check_names(manifest, joints, body_names)
-    warnings = (*model_checks.warnings_from(), *model_checks.unit_warnings(mj))
+    told = model_checks.warnings_from()
+    warnings = (*told, *model_checks.singular_warning(mj, told), *model_checks.unit_warnings(mj))
     coupling, ignored = _coupling(mj, joints, equalities, manifest, source)
     return RobotModel(
         name=manifest.name,
@@ -150,7 +154,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         payload_body=body_names.index(load) if payload else None,
         format=source.format,
         text=source.text,
-        repairs=(*source.repairs, *base_repairs, *warnings, *ignored),
+        repairs=(*source.repairs, *overridden, *base_repairs, *warnings, *ignored),
         coupling=coupling,
         motors=source.motors,
     )

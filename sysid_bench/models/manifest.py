@@ -265,8 +265,8 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
     if named.suffix[1:].isalpha():  # a file: no name of a robot resembles it
         same = f", or the robot {named.stem!r}" if named.stem in table else ""
         raise UsageError(
-            f"There is no file {source!r}, and its suffix is not of a model file: give a URDF or "
-            f"MJCF file ({', '.join(MODEL_SUFFIXES)}){same}."
+            f"The file {source!r} does not exist, and its suffix is not of a model file: give a "
+            f"URDF or MJCF file ({', '.join(MODEL_SUFFIXES)}){same}."
         )
     raise unknown_name("robot", source, table, "Or give the path of a URDF or MJCF file.")
 
@@ -274,11 +274,13 @@ def _plain_manifest(source: str, robots_dir: Path | None, folder: Path | None) -
 def read_manifest(file: Path) -> Manifest:
     """Read the manifest in a robot.toml; raises one ModelError that lists all its errors."""
     keys = read_toml(file, ModelError)
-    if "schema" in keys and "file" not in keys:  # one sentence in place of one for each key
-        raise ModelError(
-            f"{file} is not a robot.toml, which has the keys name and file: it has schema, as a "
-            "suite has."
-        )
+    # One sentence in place of one for each key.
+    for key, kind in (("schema", "a suite"), ("q", "the description of a recording")):
+        if key in keys and not {"name", "file"} <= keys.keys():
+            raise UsageError(
+                f"{file} is {kind} (it has the key {key}), not a robot: give a robot's name, a "
+                "URDF or MJCF file, or a robot.toml, which has the keys name and file."
+            )
     written = _checked_keys(keys, file)
     return _manifest(written, file, *_model_path(written.file, file))
 

@@ -13,7 +13,7 @@ from sysid_bench.errors import ModelError
 from sysid_bench.input_files import is_file
 from sysid_bench.models.joint_terms import linear_polynomial
 from sysid_bench.models.mjcf_files import check_files
-from sysid_bench.models.mjcf_inertia import compiled_inertia
+from sysid_bench.models.mjcf_inertia import compiled_inertia, principal_inertias
 from sysid_bench.models.model_checks import compile_spec
 from sysid_bench.models.urdf_links import MASSLESS, TINY_MASS, TINY_MOMENT, point_inertia
 from sysid_bench.models.xml_file import parse_xml, read_file
@@ -245,7 +245,7 @@ _UNUSED: Final = (
     *("hfields", "skins", "textures", "materials"),
     *("keys", "pairs", "excludes", "sensors", "tuples"),
 )
-"""What only a viewer, a contact or a controller uses; textures would need files."""
+"""Elements that only a viewer, a contact or a controller uses; textures would need files."""
 
 
 def mjcf_spec(
@@ -267,6 +267,7 @@ def mjcf_spec(
             spec.delete(element)
     for element in [*spec.geoms, *spec.sites, *spec.tendons]:
         element.material = ""
+    principal_inertias(spec)
     repairs += compiled_inertia(spec, path, folder)
     repairs += add_mass(spec, path.name)
     repairs += joint_terms_of(spec)

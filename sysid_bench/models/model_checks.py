@@ -4,7 +4,7 @@ import math
 import warnings
 import xml.etree.ElementTree as ET
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
@@ -123,6 +123,15 @@ def warnings_from() -> tuple[str, ...]:
     texts = tuple(dict.fromkeys(" ".join(text.split()) for text in _RECORDED))
     _RECORDED.clear()
     return texts
+
+
+def singular_warning(mj: mujoco.MjModel, told: Iterable[str]) -> Iterator[str]:
+    """Yield a warning of a mass matrix that is singular at the reference, where MuJoCo has not
+    given one: versions before 3.14 compute with it in silence."""
+    # 1 / mjMINVAL is what a pivot of zero becomes; rounding may make it negative.
+    sound = (mj.dof_invweight0 > 0) & (mj.dof_invweight0 < 0.1 / mujoco.mjMINVAL)
+    if not sound.all() and not any("singular" in words for words in told):
+        yield f"the mass matrix is singular at the reference, at DOF {int(np.argmin(sound))}"
 
 
 # From now on; a handler that the user has set stays in place.

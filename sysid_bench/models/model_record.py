@@ -77,7 +77,7 @@ def _keep(file: Path, text: str) -> None:
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(
-            "w", dir=file.parent, suffix=".part", delete=False
+            "w", dir=file.parent, suffix=".part", delete=False, encoding="utf-8"
         ) as part:
             part.write(text)
         os.replace(part.name, file)

@@ -268,10 +268,10 @@ def model_states(path: str) -> list[str]:
         if str(file) in hashes:
             continue
         hashes[str(file)] = file_state(str(file))
-        if file.suffix in (".xml", ".mjcf", ".urdf") and hashes[str(file)] != ABSENT:
+        if file.suffix in SUFFIXES:
             try:
                 text = read_data(file)
-            except OSError:  # too large for a model; it is in the hashes in any case
+            except OSError:  # absent, or too large for a model; it is in the hashes in any case
                 text = b""
             meshes = (name.decode(errors="replace") for name in _FOLDER.findall(text))
             folders += [file.parent, *(Path(path).parent / name for name in meshes)]

@@ -20,7 +20,7 @@ _MOST: Final = 4
 
 @dataclass(frozen=True)
 class HelpText:
-    """What was asked for: a title, its text as Markdown, and the entries that it holds or that
+    """Answer to a request: a title, its text as Markdown, and the entries that it holds or that
     have its name."""
 
     name: str

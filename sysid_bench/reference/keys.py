@@ -110,7 +110,7 @@ def _is_sweep(metadata: Any) -> bool:
 
 
 def _values(annotation: Any, metadata: Any = ()) -> str:
-    """What a key takes, as Markdown: what checks it says, else its type."""
+    """Values of a key, as Markdown: those its check allows, else its type."""
     if _is_sweep(metadata):
         return " or ".join(filter(None, (_element(annotation), "a list: a sweep")))
     said = _said(metadata)
@@ -131,7 +131,7 @@ def _values(annotation: Any, metadata: Any = ()) -> str:
 
 
 def _said(metadata: Any) -> str | None:
-    """What the first check that knows its values says of them; None where none does."""
+    """Values by the first check that knows them; None where none does."""
     for check in metadata:
         match getattr(check, "func", None):
             case Quantity() as one:

@@ -106,7 +106,7 @@ class Section:
 
     @property
     def text(self) -> str:
-        """What stands below the heading."""
+        """Text below the heading."""
         return "\n\n".join(filter(None, (str(part).strip("\n") for part in self.parts)))
 
     @property

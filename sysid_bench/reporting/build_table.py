@@ -204,7 +204,7 @@ def _names(cells: "pd.DataFrame", layout: TableLayout, metric: Metric) -> list[s
 
 
 def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
-    """Why cells have no value, with the number of cells of each reason."""
+    """Reasons for which cells have no value, with the number of cells of each."""
     column = f"{REASONS}.{metric.name}"
     if column in cells.columns:
         given = cells.loc[~cells[column].isin(["", "none"]), column].value_counts()
@@ -213,7 +213,7 @@ def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
 
 
 def _missing_repeats(layout: TableLayout, entries: Entries) -> Iterator[str]:
-    """Why metrics of all repeats are missing: there are too few of them."""
+    """Reason for which metrics of all repeats are missing: there are too few of them."""
     needs = set[str]().union(
         *(metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
     )

@@ -246,7 +246,7 @@ def claim_findings(claim: Mapping[str, Any], rows: ClaimRows) -> Iterator[ClaimF
 
 
 def _said(claim: Mapping[str, Any], rows: ClaimRows) -> dict[str, Any]:
-    """What the suite says of a claim."""
+    """Statement of the suite on a claim."""
     kept = {key: claim[key] for key in ("name", "statement", "source", "over", "gate")}
     limits = [f"{limit:g}" for limit in claim["threshold"]]
     of = claim.get("metric") or claim.get("meets") or "values"
@@ -285,7 +285,7 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
 
 
 def _open_reason(figure: ClaimFigure, verdict: Verdict, values: ClaimValues, over: str) -> str:
-    """Why a claim stays open although its figure may be on one side; empty where it does not."""
+    """Reason for which a claim stays open although its figure may be on one side; else empty."""
     if figure.low is None:
         counted = count_text(figure.count, over)
         return f"{counted}: no interval{figure.reason and f' ({figure.reason})'}"

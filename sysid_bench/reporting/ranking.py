@@ -199,11 +199,12 @@ def method_ratio(
     those of the reference."""
     m, r = cases.methods.index(method), cases.methods.index(against)
     # No ratio to a zero: an error that is rounding has none, as that of a failure.
-    errors = np.where(cases.errors > cases.floor, cases.errors, np.nan)
+    is_sound = cases.errors > cases.floor
+    errors = np.where(is_sound, cases.errors, np.nan)
     logs = np.round(np.log(errors[:, m]) - np.log(errors[:, r]), _DIGITS)
     # The method has a row, be it a failure, and the reference an answer.
-    planned = cases.with_ratio & cases.has_row[:, m] & (cases.errors[:, r] > cases.floor)
-    planned &= ~(cases.errors[:, m] <= cases.floor)
+    failed = np.isnan(cases.errors[:, m])
+    planned = cases.with_ratio & cases.has_row[:, m] & is_sound[:, r] & (is_sound[:, m] | failed)
     answered, converged = planned & np.isfinite(logs), cases.converged[:, m]
     # l = 0 is the answer of the reference: a failure neither wins nor loses by it. A penalty of ten
     # times the worst depends on who else is entered (measured: 20 to 4351 times the best).

@@ -87,7 +87,7 @@ def experiment_lines(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tu
 
 
 def _data_texts(plants: set[str]) -> tuple[str, str]:
-    """Where the data of plants come from, and what their torque errors are against."""
+    """Origin of the data of plants, and the reference of their torque errors."""
     if plants == {RECORDED}:
         return "Recorded on robots.", "measured torque of held-out recordings"
     data, against = "Simulated with MuJoCo; no real robot was measured.", _NOISE_FREE
@@ -141,6 +141,8 @@ def joint_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> list[JointErr
 
 def _errors_of_robot(robot: Any, group: "pd.DataFrame") -> JointErrors:
     estimators = tuple(dict.fromkeys(group["method"]))
+    # A column of None alone is one of objects before pandas 3.
+    group = group.astype({"relative": float})
     errors = group.groupby(["name", "method"], sort=False)["relative"].agg(["median", "max"])
     found = {key: (median, worst) for key, median, worst in errors.itertuples()}
     rows = []

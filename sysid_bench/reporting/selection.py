@@ -1,4 +1,4 @@
-"""What a table shows: choice of its cells, rows, columns and metrics."""
+"""Contents of a table: choice of its cells, rows, columns and metrics."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace

@@ -1,5 +1,5 @@
-"""What the columns of a recording without names are, by their numbers: derivatives of one another,
-what follows the torque that the model predicts along the motion, and what rises or drifts."""
+"""Roles of the columns of a recording without names, by their numbers: derivatives of one another,
+torques that the model predicts along the motion, stamps that rise and temperatures that drift."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -54,6 +54,7 @@ class Block:
     columns: tuple[int, ...]
     role: str
     reason: str
+    is_computed: bool = False  # torques of the joints that a controller computes
 
     @property
     def label(self) -> str:
@@ -234,7 +235,7 @@ class _Motion:
     def _torques(
         self, robot: RobotModel, joints: Sequence[str], motion: Sequence[Block]
     ) -> tuple[float, list[Block]]:
-        """How well the first one of the blocks that follow the model's torque does, and these, the
+        """Score of the best of the blocks that follow the model's torque, and these blocks, the
         measured one first."""
         fit = TorqueFit.of(self.X[:, motion[0].columns], self.t, robot, joints)
         taken = frozenset(column for block in motion for column in block.columns)
@@ -266,7 +267,7 @@ class _Motion:
                 reason = f"{reason}; not taken beside {self._label(ordered[0])}"
             elif len(ordered) > 1:
                 reason = f"{DOUBT}{reason}, noisier than {self._label(ordered[1])}: measured"
-            blocks.append(Block(self.columns(a), role, reason))
+            blocks.append(Block(self.columns(a), role, reason, role == "command" and is_torque[a]))
         return max((score for score, *_ in found.values()), default=0.0), blocks
 
 

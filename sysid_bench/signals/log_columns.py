@@ -1,10 +1,10 @@
-"""Where the signals of a recording stand: in columns by their names, in files of one signal each,
-or by their numbers; and what the other columns are."""
+"""Places of the signals of a recording: columns by their names, files of one signal each, or
+columns by their numbers; and the roles of the other columns."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,11 +14,11 @@ from sysid_bench.errors import first_names
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import column_names
 from sysid_bench.signals.column_names import CURRENTS, is_signal, role_of, words_of
-from sysid_bench.signals.column_roles import DOUBT, explain_columns
+from sysid_bench.signals.column_roles import DOUBT, Block, explain_columns
 from sysid_bench.signals.log_checks import is_rate
 from sysid_bench.signals.log_keys import SIGNALS
 from sysid_bench.signals.log_table import LogTable, table_of_rows
-from sysid_bench.signals.torque_scale import scale_contradiction
+from sysid_bench.signals.torque_scale import drive_gains, scale_contradiction
 from sysid_bench.types import Array
 
 _SLOWEST: Final = 0.5
@@ -34,9 +34,10 @@ Tables = Sequence[tuple[str, LogTable]]
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Where a signal stands: its file (None: the common one), columns, and numbers (N, k).
+    """Place of a signal: its file (None: the common one), columns, and numbers (N, k).
     `beside`: other columns that fit; `time`: the column of its own stamps; `reason`: how it was
-    recognised by its numbers; `is_current`: its numbers are no torques of joints."""
+    recognised by its numbers; `is_current`: its numbers are no torques of joints, except times
+    `gain`, which the file itself states."""
 
     columns: list[str] | list[int]
     values: Array
@@ -46,6 +47,7 @@ class Columns:
     time: Mapping[str, Any] | None = None
     reason: str = ""
     is_current: bool = False
+    gain: tuple[float, ...] = ()
 
     def table(self, unit: Sequence[str] = (), **more: Any) -> dict[str, Any]:
         """Return the value of the key of a signal; one unit where all joints have the same."""
@@ -81,7 +83,7 @@ class Found:
 
 
 def find_columns(tables: Tables, robot: RobotModel, joints: Sequence[str]) -> Found:
-    """Return where the signals stand in files (as written, their tables) of one recording."""
+    """Return the places of the signals in files (as written, their tables) of one recording."""
     told = [one for one in tables if column_names.is_command_file(Path(one[0]).stem)]
     told = told if len(told) < len(tables) else []
     measured = [one for one in tables if one not in told]
@@ -93,8 +95,11 @@ def find_columns(tables: Tables, robot: RobotModel, joints: Sequence[str]) -> Fo
             signals["q_des"] = _commands(file, table, joints)
     files = tuple(name for name, _ in measured)
     if bare:
-        return _by_numbers(measured[0], robot, joints, signals)
-    if _has_signal_per_file(measured):
+        of_numbers = _by_numbers(measured[0], robot, joints, signals)
+        # Without positions, a file of one signal, whose name says of which.
+        if "q" in of_numbers.signals or role_of(Path(measured[0][0]).stem) == "unexplained":
+            return of_numbers
+    if bare or _has_signal_per_file(measured):
         files = ()
         found = _by_files(measured, joints)
     else:
@@ -179,8 +184,33 @@ def _by_numbers(
             )
         else:
             unused.append(block)
+    if "v" in found and "tau" in found and found["tau"].is_current:
+        found["tau"] = _with_gain(found["tau"], found["v"].values, values, unused)
     labels = tuple(block.label for block in sorted(unused, key=lambda one: one.columns))
     return Found(found, (file[0],), {}, labels, tuple(block.text for block in blocks))
+
+
+def _with_gain(tau: Columns, v: Array, values: Array, others: Sequence[Block]) -> Columns:
+    """Return currents with the gains that the blocks of a controller's own currents and computed
+    torques agree on, if there are such."""
+    for current, torque in product(others, others):
+        if current.role != "current" or not torque.is_computed:
+            continue
+        i, computed = (values[:, list(block.columns)] for block in (current, torque))
+        if known := drive_gains(i, computed, v):
+            return stated_gain(tau, known, f"{torque.label} over {current.label}")
+    return tau
+
+
+def stated_gain(tau: Columns, known: tuple[Array, Array], quotient: str) -> Columns:
+    """Return currents with known gains and their deviations, from columns that `quotient` names."""
+    gains, deviations = known
+    reason = (
+        f"gain: the controller's own torque over its current, {quotient}, within "
+        f"{100 * deviations.max():.1g} %"
+    )
+    reason = "; ".join(filter(None, (tau.reason, reason)))
+    return replace(tau, gain=tuple(float(f"{x:.4g}") for x in gains), reason=reason)
 
 
 def _has_signal_per_file(tables: Tables) -> bool:
@@ -221,7 +251,8 @@ def _by_columns(tables: Tables, joints: Sequence[str]) -> dict[str, Columns]:
 
 def _by_files(tables: Tables, joints: Sequence[str]) -> dict[str, Columns]:
     """Return where signals stand, one file each, by the names of the files."""
-    found = {}
+    lengths = [len(x.values) for file, x in tables if is_signal(Path(file).stem, "time")]
+    found: dict[str, Columns] = {}
     for signal in (*SIGNALS, "time"):
         for file, table in tables:
             stem = Path(file).stem
@@ -229,18 +260,20 @@ def _by_files(tables: Tables, joints: Sequence[str]) -> dict[str, Columns]:
             if signal == "time":  # that of the start stands in every row
                 fits = fits and _rises(table.values[:, 0])
             if fits and signal not in found:
-                found[signal] = _whole_file(file, table, signal, joints)
+                # Numbers one a line are as many columns as there are for each stamp.
+                per_stamp = {len(table.values) // n for n in lengths if len(table.values) % n == 0}
+                k = min(per_stamp - {0}, default=len(joints))
+                found[signal] = _whole_file(file, table, signal, k)
     return found
 
 
-def _whole_file(file: str, table: LogTable, signal: str, joints: Sequence[str]) -> Columns:
+def _whole_file(file: str, table: LogTable, signal: str, k: int) -> Columns:
     """Return the columns of a file of one signal, with its own stamps; one column is a list of
-    samples."""
+    samples of k numbers."""
     width = table.values.shape[1]
     if signal == "time":
         return Columns(list(range(1, width + 1)), table.values, file)
     if width == 1:
-        k = len(joints)
         return Columns(list(range(1, k + 1)), table_of_rows(table, k).values, file, k)
     name = column_names.time_column(table.names)
     place = 0 if not table.names and _rises(table.values[:, 0]) else None
@@ -274,7 +307,7 @@ def _commands(file: str, table: LogTable, joints: Sequence[str]) -> Columns:
     """Return the commanded positions in a file of commands."""
     names = column_names.columns_of_signal(table.names, "q", joints)
     names = names or column_names.command_columns(table.names, joints)
-    whole = _whole_file(file, table, "q_des", joints)
+    whole = _whole_file(file, table, "q_des", len(joints))
     if not names:
         return whole
     return Columns(names, table.columns(names), file, time=whole.time)

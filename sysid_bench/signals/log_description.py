@@ -225,8 +225,8 @@ def read_keys(written: str, folder: Path) -> tuple[dict[str, Any], Path]:
         return parse_toml(read_text(source)), source
     except FileNotFoundError as error:
         raise UsageError(
-            f"There is no log description {str(source)!r}; write one as `file = 'run1.csv'`, "
-            "`rate = '200 Hz'`, joints, q and tau."
+            f"The log description {str(source)!r} does not exist; write one as `file = "
+            "'run1.csv'`, `rate = '200 Hz'`, joints, q and tau."
         ) from error
     except OSError as error:
         raise UsageError(f"{source} cannot be read: {error.strerror or error}.") from error

@@ -11,14 +11,22 @@ import numpy as np
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import column_names
-from sysid_bench.signals.column_names import words_of
+from sysid_bench.signals.column_names import role_of, words_of
 from sysid_bench.signals.column_roles import DOUBT
 from sysid_bench.signals.log_checks import check_finite, check_rates
-from sysid_bench.signals.log_columns import Columns, Tables, find_columns, stamp_unit
+from sysid_bench.signals.log_columns import (
+    Columns,
+    Found,
+    Tables,
+    find_columns,
+    stamp_unit,
+    stated_gain,
+)
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.signals.log_keys import GAIN_ADVICE, find_preset, preset_keys
 from sysid_bench.signals.log_samples import scalar_kinds
 from sysid_bench.signals.log_table import LogTable
+from sysid_bench.signals.torque_scale import drive_gains
 from sysid_bench.types import Array
 
 _TORQUES: Final = frozenset({"tau", "torque", "torques", "effort", "efforts", "trq", "nm"})
@@ -31,7 +39,7 @@ NO_TORQUE: Final = (
     "identified without them: add their columns or their file as tau"
 )
 
-NO_GAIN: Final = f"tau: currents, or torques of motors, are no torques of joints: {GAIN_ADVICE}"
+NO_GAIN: Final = f"tau: currents, or torques of motors, are not torques of joints: {GAIN_ADVICE}"
 
 NO_CONTROLLER: Final = (
     "tau: the recording holds positions and their commands without torques: write kp and kd of the "
@@ -84,20 +92,22 @@ def guess_log(tables: Tables, robot: RobotModel) -> LogGuess:
     """
     preset = find_preset(tables[0][1].names) if len(tables) == 1 else None
     if preset is not None:
-        lacks = NO_GAIN if preset_keys()[preset]["tau"].get("unit") == "A" else ""
-        return LogGuess(tuple(_of_preset(tables[0], robot, preset)), lacks)
+        entries = tuple(_of_preset(tables[0], robot, preset))
+        is_current = preset_keys()[preset]["tau"].get("unit") == "A"
+        has_gain = any(entry.name == "tau" for entry in entries)
+        return LogGuess(entries, NO_GAIN if is_current and not has_gain else "")
     joints = scalar_joints(robot)
     where = find_columns(tables, robot, joints)
     found, files = where.signals, list(where.files)
     if "q" not in found:
-        raise _no_positions(tables, "tau" in found)
+        raise _incomplete(tables, where)
     of_files = [_GuessedKey("file", files[0] if len(files) == 1 else files)] if files else []
     of_joints = _joints(found["q"], joints, tables)
     of_time, rate = _time(found, tables)
     signals = list(_signals(found, of_joints.value, robot, rate))
     proposal: Any = {"columns": [], "unit": "N m"}
     if "tau" in found:
-        lacks = NO_GAIN if found["tau"].is_current else ""
+        lacks = NO_GAIN if found["tau"].is_current and not found["tau"].gain else ""
     elif "q_des" in found:
         lacks = "" if where.gains.keys() == {"kp", "kd"} else NO_CONTROLLER
         controlled = _controlled(found, {"kp": [], "kd": [], **where.gains}, signals)
@@ -105,6 +115,9 @@ def guess_log(tables: Tables, robot: RobotModel) -> LogGuess:
         proposal = controlled.value
     else:
         lacks = NO_TORQUE
+        # A recording in several files, of which not all are named.
+        if not tables[0][1].names and _other_files(tables):
+            raise _incomplete(tables, where)
     entries = (*of_files, of_joints, *of_time, *signals)
     return LogGuess(entries, lacks, where.unused, where.explained, proposal)
 
@@ -125,15 +138,27 @@ def _controlled(
     )
 
 
-def _no_positions(tables: Tables, has_torques: bool) -> UsageError:
+def _incomplete(tables: Tables, where: Found) -> UsageError:
     names = list(chain.from_iterable(table.names for _, table in tables))
-    listed = f"are {first_names(names, 8)}" if names else "have no names"
-    absent = "positions" if has_torques else "positions and no torques or currents"
+    listed = f"its columns are {first_names(names, 8)}" if names else "; ".join(where.explained)
+    absent = {"q": "positions", "tau": "torques or currents"}
+    lacking = " and no ".join(word for key, word in absent.items() if key not in where.signals)
     return UsageError(
-        f"{', '.join(file for file, _ in tables)}: no {absent} can be found: its columns "
-        f"{listed}. A log needs positions and torques (or motor currents); name all its files, "
-        "or write the description by hand: joints, q = { columns = [...] }, tau."
+        f"{', '.join(file for file, _ in tables)}: no {lacking} can be found"
+        f"{': ' * bool(listed)}{listed}. A log needs positions and torques (or motor currents): "
+        f"name all its files{_other_files(tables)}, or write the description by hand: joints, q = "
+        "{ columns = [...] }, tau."
     )
+
+
+def _other_files(tables: Tables) -> str:
+    """Return the files beside those of `tables` that hold signals by their names, "" where none
+    does."""
+    known = {table.path.name for _, table in tables}
+    beside = sorted(tables[0][1].path.parent.glob(f"*{tables[0][1].path.suffix}"))
+    roles = {path.name: role_of(path.stem) for path in beside if path.name not in known}
+    listed = [f"{name} ({role})" for name, role in roles.items() if role != "unexplained"]
+    return f", of which {first_names(listed, 6)} lie beside it" if listed else ""
 
 
 def scalar_joints(robot: RobotModel) -> list[str]:
@@ -144,12 +169,26 @@ def scalar_joints(robot: RobotModel) -> list[str]:
 
 def _of_preset(file: tuple[str, LogTable], robot: RobotModel, name: str) -> Iterator[_GuessedKey]:
     """Yield the keys that a preset leaves open."""
-    preset = preset_keys()[name]
+    preset, table = preset_keys()[name], file[1]
     yield _GuessedKey("file", file[0])
     yield _GuessedKey("preset", name, f"the columns are those of {preset['title']}")
-    count = sum(re.fullmatch(preset["q"]["match"], column) is not None for column in file[1].names)
-    joints = _sized(scalar_joints(robot), count)
+    joints = _sized(scalar_joints(robot), _matched(table, preset["q"]["match"]).shape[1])
     yield _GuessedKey("joints", joints, "in the order of the model: check it")
+    if "desired" in preset:
+        patterns = (preset["desired"]["current"], preset["desired"]["torque"], preset["v"]["match"])
+        current, torque, v = (_matched(table, pattern) for pattern in patterns)
+        known = (
+            drive_gains(current, torque, v) if current.shape == torque.shape == v.shape else None
+        )
+        if known is not None:
+            tau = stated_gain(Columns([], current), known, "columns target_*")
+            yield _GuessedKey("tau", {"gain": list(tau.gain)}, tau.reason)
+
+
+def _matched(table: LogTable, pattern: str) -> Array:
+    """Return the columns (N, k) whose names match a pattern, in the order of its number."""
+    found = [hit for name in table.names if (hit := re.fullmatch(pattern, name)) is not None]
+    return table.columns([hit[0] for hit in sorted(found, key=lambda hit: int(hit[1]))])
 
 
 def _sized(joints: Sequence[str], count: int) -> list[str]:
@@ -222,7 +261,8 @@ def _signals(
         reason = f"{DOUBT}v and the differences of q do not agree; the unit of q is taken"
         for tried, size in (("rad/s", 1.0), ("deg/s", np.pi / 180.0)):
             measured = _agreeing_rate(q.values[:rows] * scale, v.values[:rows] * size, rate)
-            if measured is not None and abs(measured / rate - 1) < 0.2:
+            # Lost samples halve the mean rate; deg/s and rad/s are 57 apart.
+            if measured is not None and 1 / 3 < measured / rate < 3:
                 unit_v, reason = tried, "v and the differences of q agree in it"
                 break
         yield _GuessedKey("v", v.table(units(unit_v, "m/s")), v.said(reason))
@@ -235,7 +275,9 @@ def _signals(
             f"{first_names(map(str, tau.columns), 8)}; write the description by hand."
         )
     if tau.is_current:
-        yield _GuessedKey("tau", tau.table(["A"]), tau.said("no gain is known"))
+        known = {"gain": list(tau.gain)} if tau.gain else {}
+        reason = tau.said("" if known else "no gain is known")
+        yield _GuessedKey("tau", tau.table(["A"], **known), reason)
         return
     reason = "torques, by their names: of motors, give ratio; of currents, unit A and gain"
     if tau.reason:

@@ -32,7 +32,7 @@ GAIN_ADVICE: Final = (
     "where it is the motor's; or weigh a known load with gain = 1.0, which is taken as stated: its "
     "mass over the one that --task payload finds is the gain"
 )
-"""How one gets the gain of a current."""
+"""Ways to the gain of a current."""
 
 
 def _one_or_more(value: Any) -> Any:
@@ -298,6 +298,16 @@ class LogKeys(_Table):
     """Position of joints that did not move, rad or m."""
 
 
+_MISSING: Final = {
+    "tau": (
+        ": write tau = { columns = [7, 8], unit = 'N m' } with the columns of the torques, unit = "
+        "'A' and gain for currents; or, of commands and positions alone, tau = { pd = { q_des = { "
+        "columns = [9, 10] }, kp = [..], kd = [..] } } with the gains of the position controller"
+    )
+}
+"""Way on from a missing key."""
+
+
 def check_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKeys:
     """Return the keys once their names and types fit; raises UsageError with all mistakes, and
     `advice` where a signal is missing."""
@@ -312,7 +322,7 @@ def check_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKe
                 unknown = unknown_name("key of a log description", key, _known_keys(problem["loc"]))
                 lines.append(str(unknown).rstrip("."))
             elif problem["type"] == "missing":
-                lines.append(f"{key} is missing")
+                lines.append(f"{key} is missing{_MISSING.get(key, '')}")
             else:
                 values.append(problem)
         lines += [f"{key}: {text}" for key, text in value_errors(values).items()]
@@ -357,7 +367,7 @@ def with_preset(text: Mapping[str, Any], source: Path) -> dict[str, Any]:
         return given
     if name not in preset_keys():
         raise UsageError(f"{source}: {unknown_name('preset', str(name), preset_keys())}")
-    keys = {k: x for k, x in preset_keys()[name].items() if k not in ("title", "needs")}
+    keys = {k: x for k, x in preset_keys()[name].items() if k not in ("title", "needs", "desired")}
     if "rate" in given:
         keys.pop("time")
     for key, value in given.items():

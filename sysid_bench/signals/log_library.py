@@ -1,4 +1,4 @@
-"""What readers of recorded files share: libraries of the extra `logs`, imported when a file needs
+"""Common parts of log readers: libraries of the extra `logs`, imported where a file needs
 them, errors of libraries as one sentence, and the progress of reading long files."""
 
 from collections.abc import Callable, Iterator

@@ -81,7 +81,7 @@ def _state(path: Path) -> tuple[int, int]:
         state = path.stat()
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         reason = error.strerror if isinstance(error, OSError) else error
-        raise UsageError(f"There is no recorded file {str(path)!r} ({reason}).") from error
+        raise UsageError(f"The recorded file {str(path)!r} cannot be read ({reason}).") from error
     return state.st_mtime_ns, state.st_size
 
 

@@ -1,4 +1,4 @@
-"""What the numbers of a motion say by Fourier transforms: its bandwidth, the period after which it
+"""Fourier transforms of a motion: its bandwidth, the period after which it
 repeats, and so the folds for cross-validation over time."""
 
 from typing import Final

@@ -1,4 +1,4 @@
-"""Whether a signal follows the torque of the model along a motion, and at which scale."""
+"""Scale of a signal that follows the torque of the model along a motion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,15 +25,23 @@ _SLOPES: Final = (1 / 3, 3.0)
 _TINY: Final = 20.0
 """Gravity over what is recorded, beyond which no motion makes up for it: a free fall would."""
 
+_SLIDES: Final = 0.02
+"""rad/s, m/s at which friction reaches its size in what controllers compute of it."""
+
+_ONE_RELATION, _PARTS, _KNOWN_GAIN = 0.98, 8, 0.05
+"""Least share of a current that torque and friction explain where the controller computes one from
+the other; parts of a jackknife; largest deviation of a gain that is taken from them."""
+
 _ALIKE: Final = 0.3
 """Difference of the scales of gravity and inertia up to which both are that of the torque."""
 
 
 def scale_contradiction(
-    q: Array, tau: Array, t: Array, robot: RobotModel, joints: Sequence[str]
+    q: Array, tau: Array, t: Array, robot: RobotModel, joints: Sequence[str], sure: bool = False
 ) -> str:
-    """Return why tau (N, k) is no torque of the joints in N m, "" where it may be one: it has no
-    sign, or follows the model's torque along q (N, k) at another scale."""
+    """Return the reason for which tau (N, k) is not a torque of the joints in N m, "" where it may
+    be one: it has no sign, or follows the model's torque along q (N, k) at another scale; `sure`: a
+    positive one in all joints, since a negative one is another mistake, or that of the model."""
     rows = ~check_finite(q, tau, t[:, None])
     q, tau, t = q[rows][:_ROWS], tau[rows][:_ROWS], t[rows][:_ROWS]
     if len(tau) and tau.min() >= 0 and (np.ptp(tau, axis=0) > 0).all():
@@ -42,12 +50,34 @@ def scale_contradiction(
     if fit is None or q.shape != tau.shape:
         return ""
     score, slopes, _ = fit.follows(tau)
-    if score < FOLLOWS or is_torque_scale(slopes):
+    if score < FOLLOWS or is_torque_scale(slopes) or (sure and slopes.min() <= 0):
         return ""
     return (
         f"it follows the model's torque ({score:.0%} beyond friction) at {range_of(slopes)}: a "
         "current, or the torque of a motor before its gear"
     )
+
+
+def drive_gains(current: Array, torque: Array, v: Array) -> tuple[Array, Array] | None:
+    """Return N m per A (k,) with relative deviations (k,) from the currents (N, k) that a
+    controller asks for and the torques (N, k) that it computes, at rates v (N, k); None where they
+    are not one relation in every joint, friction apart: measured currents carry loads that no model
+    has."""
+    rows = ~check_finite(current, torque, v)
+    gains, deviations = [], []
+    for i, tau, rate in zip(current[rows].T, torque[rows].T, v[rows].T, strict=True):
+        steps = np.tanh(rate / _SLIDES)
+        A = np.column_stack([tau, steps, rate, np.ones_like(rate)])
+        x = np.linalg.lstsq(A, i, rcond=None)[0]
+        if not len(i) or x[0] == 0 or np.var(i - A @ x) > (1 - _ONE_RELATION) * np.var(i):
+            return None
+        parts = np.array_split(np.arange(len(i)), _PARTS)
+        rest = [np.delete(np.arange(len(i)), part) for part in parts]
+        slopes = [np.linalg.lstsq(A[kept], i[kept], rcond=None)[0][0] for kept in rest]
+        gains.append(1.0 / x[0])
+        deviations.append(np.sqrt(_PARTS - 1) * np.std(slopes) / abs(x[0]))  # jackknife
+    worst = max(deviations, default=np.inf)
+    return (np.array(gains), np.array(deviations)) if worst < _KNOWN_GAIN else None
 
 
 def is_torque_scale(slopes: Array) -> bool:

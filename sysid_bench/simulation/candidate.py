@@ -1,4 +1,4 @@
-"""What methods that simulate are given: kinematics, a plant of their estimates, a simulator."""
+"""Candidate model of methods that simulate: kinematics, a plant of their estimates, a simulator."""
 
 import itertools
 from dataclasses import dataclass, fields, replace

@@ -239,9 +239,49 @@ def test_methods_of_all_parameters_keep_the_baseline_of_their_run(tmp_path: Path
     for cell in sysid_bench.plan(suite).cells:  # each alone, as pytest judges it
         row = run.row(cell.id)
         assert row is not None
-        assert not cell_text(cell, row, baseline, "run")
+        assert not cell_text(cell, row, baseline, run)
     # A run without the method whose true parameters the baseline has.
     part = sysid_bench.run(
         suite, tmp_path / "part", jobs=1, select='estimator == "lmi"', baseline=tmp_path / "b.json"
     )
     assert part.exit_code == 0, part.summary()
+
+
+@pytest.mark.parametrize("edit", ["none", "value", "status", "model", "parameter", "ids"])
+def test_a_cell_alone_is_judged_as_the_gate_judges_it(edit: str, copied: Path) -> None:
+    """pytest looks at one row at a time: at its status, values, labels, and at its robot."""
+    known = from_text((copied / "b.json").read_text(), "b.json")
+    run, cells = open_run(copied / "run"), dict(known.run.cells)
+    name = next(key for key, cell in cells.items() if "wls" in cell.labels)
+    place = [*known.run.metrics].index("torque_error")
+    robot, wrong = cells[name].robot, set[str]()
+    if edit in ("value", "ids"):
+        errors = [*cells[name].values]
+        errors[place] = (errors[place] or 0.0) / 1.5
+        cells[name], wrong = replace(cells[name], values=tuple(errors)), {name}
+    if edit == "status":
+        cells[name], wrong = replace(cells[name], status="unsupported"), {name}
+    if edit == "ids":  # those of another version of the model
+        cells = {f"old-{key}": cell for key, cell in cells.items()}
+    models, parameters = dict(known.run.models), dict(known.run.parameters)
+    if edit == "model":
+        models[robot] = {**models[robot], "": {**models[robot][""], "gravity": [0.0, 0.0, -3.7]}}
+        wrong = {*cells}
+    if edit == "parameter":
+        ((key, true),) = parameters.items()
+        parameters[key] = {**true, next(iter(true)): 77.0}
+        wrong = {key for key, cell in cells.items() if "wls" in cell.labels}  # `prior` has others
+    values = replace(known.run, cells=cells, models=models, parameters=parameters)
+    file = copied / "edited.json"
+    file.write_text(to_text(baseline_of(values, known.tolerances)))
+    baseline = from_text(file.read_text(), "edited.json")
+    found = sysid_bench.gate(run.path, file)
+    assert found.ok == (edit == "none")
+    if edit not in ("model", "parameter"):  # changes of the robot and not of a cell
+        assert {one["id"] for one in found.failures} == wrong
+    for cell in run.plan.cells:
+        row = run.row(cell.id)
+        assert row is not None
+        text = cell_text(cell, row, baseline, run)
+        assert bool(text) == (cell.id in wrong)
+        assert ("Joints that changed" in text) == (edit == "model")

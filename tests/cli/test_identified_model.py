@@ -16,6 +16,7 @@ from sysid_bench.commands.main import main
 from sysid_bench.errors import EstimationError, ModelError, UsageError, WriteError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.model_record import check_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial import feasible_margins
 from sysid_bench.words import FINDINGS
@@ -74,8 +75,12 @@ def test_a_written_model_predicts_as_the_estimate_does(
     # The offset of 5 % has no place in a model file: the manifest beside it holds it.
     assert np.abs(again.joint_terms.offset).min() > 0
     assert "it predicts" in result.summary()
+    # A name of its own: suites refuse the one of an installed robot that is another one.
+    check_name(again.manifest)
     if suffix == "urdf":
         assert not load_robot(target).joint_terms.offset.any()
+        with pytest.raises(UsageError, match=r"the manifest of found\.urdf, and would be"):
+            asked(folder, name, estimator=estimator, model_out=target.with_suffix(".xml"))
 
 
 def test_terms_that_were_not_identified_are_zero_in_the_files(folder: Path, tmp_path: Path) -> None:

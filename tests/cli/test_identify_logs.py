@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from sysid_bench import package_folders
 from sysid_bench.commands.identify import identify
+from sysid_bench.commands.identify_recorded import check_torque_units
 from sysid_bench.commands.main import main
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError
+from sysid_bench.experiments.recorded.process_log import ProcessedLog, lock_manifest
+from sysid_bench.models.data_sets import find_dataset
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_description import read_description
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write, write_two
 
@@ -104,7 +110,6 @@ def test_blocks_are_the_factors(folder: Path) -> None:
         process_log,
     )
     from sysid_bench.identification.linear.least_squares import stacked_factor
-    from sysid_bench.signals.log_description import read_description
     from sysid_bench.signals.processing import processing_of
 
     logs = [read_description(folder / f"{name}.toml") for name in ("run", "loaded")]
@@ -137,12 +142,52 @@ def test_the_command_prints_the_contract(cli: Run, folder: Path) -> None:
     assert set(result["tests"]) == {"other"}
     result = CliRunner().invoke(main, ["identify", "ur5", *words])
     assert result.exit_code == 0, result.stderr
-    assert "elbow_joint" in result.stdout
+    assert "\n  elbow: viscous" in result.stdout
 
 
 def test_a_contradiction_may_be_accepted(folder: Path, tmp_path: Path) -> None:
     wrong = write(tmp_path, recorded(named_robot("ur5"), 0), name="wrong", rate="100 Hz")
     assert identify("ur5", log=[wrong], accept=("rate",))["rank"] > 0
+
+
+def read_again(motion: str, **of_torque: Any) -> ProcessedLog:
+    """A motion of a data set whose torque is described in another way, in N m."""
+    name = motion.partition("/")[0]
+    log = read_description(Path(f"dataset:{motion}"))
+    log = replace(log, tau=log.tau.model_copy(update={"unit": None, **of_torque}))
+    manifest = find_manifest(f"dataset:{name}")
+    robot = load_robot(lock_manifest(manifest, load_robot(manifest), [log]))
+    read = read_log(log, robot)
+    return ProcessedLog(read, robot, read.recording)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("motion", ["ur5/movement-1", "ur5/movement-8", "ur10e/short"])
+def test_currents_declared_as_torques_are_refused(
+    motion: str, data_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fit to them is as good on their own motion, and wrong by every gain."""
+    monkeypatch.setenv("SYSID_BENCH_DATA", str(data_folder))
+    logs = [read_again(motion, gain=(1.0,))]
+    with pytest.raises(UsageError, match=r"torques of joints in N m.*--accept current"):
+        check_torque_units(logs, ("gain",))
+    (said,) = check_torque_units(logs, ("current",))
+    assert "per N m: a current" in said
+
+
+@pytest.mark.long
+@pytest.mark.data
+def test_no_recorded_torque_counts_as_a_current(
+    data_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SYSID_BENCH_DATA", str(data_folder))
+    judged = [
+        check_torque_units([read_again(f"{name}/{motion}")], ())
+        for name in package_folders.dataset_files()
+        for motion in find_dataset(name, None).described.motions
+    ]
+    assert len(judged) > 35
+    assert not any(judged)
 
 
 def test_a_motion_too_poor_is_refused(tmp_path: Path) -> None:

@@ -165,12 +165,12 @@ def test_a_recording_without_torques_is_guessed_but_for_them(kind: str, tmp_path
     without_torques(recording(bare), kind)
     result = init_log(recording(bare), "ur5")
     assert "positions without torques" in result.doubts[0]
-    assert "once tau is complete" in result.next
+    assert result.next.startswith(f"complete tau in {bare / 'run.toml'}, then: sysid-bench")
     text = (bare / "run.toml").read_text()
     assert "# tau = {" in text
     keys = tomllib.loads((whole / "run.toml").read_text())
     assert tomllib.loads(text) == {k: x for k, x in keys.items() if k not in ABSENT[kind]}
-    with pytest.raises(UsageError, match="tau"):
+    with pytest.raises(UsageError, match="tau is missing: write tau = "):
         read_description(bare / "run.toml")
 
 
@@ -200,6 +200,28 @@ def test_a_recording_without_positions_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"no positions can be found.*t, torque"):
         init_log(tmp_path / "run.npz", "ur5")
     assert not (tmp_path / "run.toml").exists()
+
+
+def test_one_of_several_files_is_refused_with_the_others(tmp_path: Path) -> None:
+    """Files of one signal each are found in any order, whatever the number of the model's joints;
+    one of them alone is refused, and so is a guess that cannot be read, by the recorded file."""
+    log = recorded(named_robot("ur5"), period=2.0)
+    signals = {"q": log.q[:, :4], "v": log.v[:, :4], "tau": log.tau[:, :4], "time": log.t}
+    files = [tmp_path / f"log_{name}.txt" for name in signals]
+    for file, x in zip(files, signals.values(), strict=True):
+        np.savetxt(file, np.ravel(x))
+    with pytest.raises(UsageError, match=r"no torques or currents.*log_tau\.txt \(torque\)"):
+        init_log(files[0], "ur5")
+    with pytest.raises(UsageError, match=r"no positions can be found.*log_q\.txt \(position\)"):
+        init_log(files[2], "ur5")
+    result = init_log([files[3], files[2], files[0]], "ur5", tmp_path / "a.toml")
+    assert result.joints == list(log.joints[:4])
+    got = read_log(read_description(tmp_path / "a.toml"), named_robot("ur5"))
+    np.testing.assert_allclose(got.recording.tau[:, :4], log.tau[:, :4], atol=1e-9)
+    np.savetxt(files[3], log.t[:-5])
+    with pytest.raises(UsageError, match=r"log_time\.txt: nothing is written.*time stamps for"):
+        init_log([files[0], files[2], files[3]], "ur5", tmp_path / "b.toml")
+    assert not (tmp_path / "b.toml").exists()
 
 
 def robots() -> list[Path]:
@@ -311,7 +333,7 @@ def test_recordings_of_real_robots_are_described(
     model = SETS[files]
     model = str(data_folder / model) if "/" in model else model
     result = init_log([data_folder / file for file in files.split()], model, tmp_path / "a.toml")
-    if result.next.endswith("# once tau is complete"):
+    if result.next.startswith("complete tau in "):
         assert files in INCOMPLETE
         return
     log = read_log(read_description(tmp_path / "a.toml"), load_robot(find_manifest(model)))

@@ -50,7 +50,7 @@ RUNS = {
     "lint absent.urdf": "The model file 'absent.urdf' does not exist",
     "lint folder": "'folder' holds no robot.toml and no URDF or MJCF model",
     "lint b.json": "'b.json' is not a model file (.urdf, .xml, .mjcf) and not a robot.toml.",
-    "lint s.toml": "s.toml is not a robot.toml, which has the keys name and file: it has schema",
+    "lint s.toml": "s.toml is a suite (it has the key schema), not a robot",
     "lint broken.toml": "broken.toml is not valid TOML",
     "cells run --sort torque_eror": "'torque_error'",
     "cells run --show torque_eror": "'torque_error'",
@@ -67,6 +67,7 @@ RUNS = {
 }
 MODELS = {
     "crosscheck pandda": "'panda'",
+    "crosscheck ur5 run.toml": "run.toml is the description of a recording (it has the key q)",
     "crosscheck pand.sdf": "its suffix is not of a model file: give a URDF or MJCF file",
     "basis ur5.xacro": "or the robot 'ur5'",
     "bsis ur5": "No verb is called 'bsis'. Did you mean 'basis'?",
@@ -113,7 +114,7 @@ DESIGNED = {
     "--export csv": "-o FILE",
     "--export can -o m.log": "Which motors",
     "--export can -o m.log --motors DM4310": "1 motor(s) for 6",
-    "--export can -o m.log --motors a.toml": "no file 'a.toml'",
+    "--export can -o m.log --motors a.toml": "The file 'a.toml' of motors does not exist",
     "--joints elbow": "elbow_joint",
     "--limit w=3": "No limit is called 'w'",
     "--limit v=1,2": "6",
@@ -122,7 +123,7 @@ DESIGNED = {
     "--period 1e9": "10,000,000",
     "--box tool0=0:1": "x:x,y:y,z:z",
     "--after nowhere.csv": "nowhere.csv",
-    "-o no/such/folder.csv": "no folder",
+    "-o no/such/folder.csv": "The folder 'no/such'",
     "--period '5 kg'": "kg",
 }
 COMMANDS = {

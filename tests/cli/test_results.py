@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import sysid_bench
-from sysid_bench.commands.result import OMIT_NONE, Result, interval_text
+from sysid_bench.commands.result import OMIT_NONE, Result, interval_text, short_names
 from sysid_bench.commands.table import VERBS
 from sysid_bench.errors import UsageError
 
@@ -144,6 +144,31 @@ def test_a_summary_has_base_parameters_and_one_line_for_bodies_without_values() 
     assert set(weakest) <= set(ranked[-3:])
 
 
+@pytest.mark.parametrize(("robot", "task"), [("scara", "robot"), ("ur5", "link")])
+def test_the_first_line_says_what_is_known_and_how_well(robot: str, task: str) -> None:
+    result = sysid_bench.identify(robot, task=task, noise={"tau": "1 %"})
+    first = result.summary().splitlines()[0]
+    known = sum(entry["std"] < 0.1 * abs(entry["value"]) for entry in result.base)
+    assert first.startswith(f"{robot}: ")
+    assert f"{known} of {result.rank} base parameters are known within 10 %. Torques of" in first
+    assert f"err by {100 * result.torque_error:.3g} %" in first
+    assert f"{100 * result.torque_error_null:.3g} %, the mean torque" in first
+    if task == "link":
+        assert "mass of wrist_3_link 0.1" in first
+
+
+def test_words_that_all_names_share_are_left_out() -> None:
+    def shown(*names: str) -> tuple[list[str], str]:
+        short, left_out = short_names(names)
+        return list(short.values()), left_out
+
+    assert shown("panda_joint1", "panda_joint2") == (["joint1", "joint2"], " (panda_*)")
+    assert shown("hip_joint", "fl_knee_joint") == (["hip", "fl_knee"], " (*_joint)")
+    assert shown("arm_1_joint", "arm_2_joint") == (["1", "2"], " (arm_*_joint)")
+    for same in (("joint", "joint_2"), ("joint1", "joint2"), ("a_joint",), ("a", "b")):
+        assert shown(*same) == (list(same), "")
+
+
 def test_one_source_of_data_is_given() -> None:
     with pytest.raises(UsageError, match="--simulate"):
         sysid_bench.identify("ur5", log="run.toml", simulate=True)
@@ -166,8 +191,10 @@ def test_an_exact_answer_has_no_deviations_and_one_from_noise_has(robot: str, ta
     assert 0 < exact["exact"] < 1e-9
     text = exact.summary()
     assert "±" not in text
-    assert "e-1" not in text.partition("\n")[2].partition("\n")[2].rpartition("exact to")[0]
-    assert f"exact to {exact['exact']:g} of the largest base parameter (no noise)" in text
+    values = text.partition("\n")[2].partition("\n")[2]
+    assert "base parameters, largest first" in values
+    assert "e-1" not in values
+    assert f"base parameters are exact to {exact['exact']:g} of the largest. Torques of" in text
     noisy = sysid_bench.identify(robot, task=task, payload="sphere-1kg", noise={"tau": "0.5 %"})
     assert "exact" not in noisy
     assert "±" in noisy.summary()

@@ -1,6 +1,7 @@
 """Laws of baselines: nothing is lost in the file, and every change beyond a tolerance is found."""
 
 import json
+import random
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -475,3 +476,100 @@ def test_cells_are_matched_by_labels_where_these_are_of_one_cell() -> None:
     assert (unclear.appeared, unclear.vanished) == (("c", "d"), ("a",))
     elsewhere = compared(before, replace(after, name="another suite"))
     assert (elsewhere.appeared, elsewhere.vanished) == (("c",), ("a",))
+
+
+# --- An update takes over every kind of change ---------------------------------------------------
+
+TWO = replace(
+    KEPT,
+    cells={
+        "a": CellValues("ur5", ("ols",), "ok", (0.25,)),
+        "b": CellValues("ur5", ("wls",), "failed", (None,), "no answer"),
+        "c": CellValues("panda", ("ols",), "ok", (0.5,)),
+    },
+    parameters={
+        ("ur5", "none"): {"link.m": 2.0, "link.hx": -0.5},
+        ("ur5", "box"): {"link.m": 3.0, "link.hx": -0.5},
+        ("panda", "none"): {"link.m": 1.0},
+    },
+    models=dict.fromkeys(("ur5", "panda"), KEPT.models["ur5"]),
+)
+
+
+def with_cell(name: str, **fields: object) -> RunValues:
+    return replace(TWO, cells={**TWO.cells, name: replace(TWO.cells["a"], **fields)})  # type: ignore[arg-type]
+
+
+def with_truth(key: tuple[str, str], **values: float) -> RunValues:
+    named = {f"link.{name}": value for name, value in values.items()}
+    return replace(TWO, parameters={**TWO.parameters, key: named})
+
+
+def with_model(robot: str, model: dict[str, dict[str, list[float]]]) -> RunValues:
+    return replace(TWO, models={**TWO.models, robot: model})
+
+
+def without(robot: str) -> RunValues:
+    return replace(
+        TWO,
+        cells={name: cell for name, cell in TWO.cells.items() if cell.robot != robot},
+        parameters={key: values for key, values in TWO.parameters.items() if key[0] != robot},
+        models={name: model for name, model in TWO.models.items() if name != robot},
+    )
+
+
+J, G = {"axis": [1.0], "gear": [50.0]}, {"gravity": [0.0, 0.0, -9.81]}
+CHANGES = {
+    "a value": (with_cell("a", values=(0.75,)), 1),
+    "a value that is gone": (with_cell("a", values=(None,)), 1),
+    "a status": (with_cell("a", status="failed", values=(None,), reason="why"), 1),
+    "an answer": (with_cell("b", labels=("wls",)), 1),
+    "a cell": (with_cell("d", labels=("lmi",)), 1),
+    "two cells of a robot": (with_cell("d", robot="scara"), 1),
+    "a robot that is gone": (without("panda"), 1),
+    "a parameter": (with_truth(("ur5", "box"), m=3.3, hx=-0.5), 1),
+    "its sign": (with_truth(("ur5", "none"), m=2.0, hx=0.5), 1),
+    "a parameter that is gone": (with_truth(("ur5", "box"), m=3.0), 1),
+    "a new parameter": (with_truth(("panda", "none"), m=1.0, hy=0.1), 1),
+    "a new setting": (with_truth(("panda", "box"), m=1.0, hy=0.1), 1),
+    "a quantity": (with_model("ur5", {"": G, "j": {**J, "gear": [51.0]}}), 1),
+    "a quantity that is gone": (with_model("ur5", {"": G, "j": {"axis": [1.0]}}), 1),
+    "a joint that is gone": (with_model("panda", {"": G}), 2),
+    "a new joint": (with_model("panda", {"": G, "j": J, "k": {"axis": [0.0]}}), 1),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_an_update_takes_over_each_change_and_nothing_else(name: str) -> None:
+    after, count = CHANGES[name]
+    known = through_file(TWO)
+    found = find_difference(known.run, after, known.tolerances)
+    update = update_of(found)
+    assert update.taken == count
+    written = through_file(update.run).run
+    again = find_difference(written, after, known.tolerances)
+    assert not again.is_failed
+    assert (again.cells, again.parameters, again.models, again.appeared) == ((), (), (), ())
+    # Of what has not changed it holds what it held, and of a robot that is gone nothing.
+    robots = {cell.robot for cell in after.cells.values()}
+    for part in ("cells", "parameters", "models"):
+        new, old, kept = (getattr(run, part) for run in (after, known.run, written))
+        expected = {
+            key: old[key] if new.get(key) == getattr(TWO, part).get(key) else new[key]
+            for key in (new if part == "cells" else {**old, **new})
+            if part == "cells" or (key if part == "models" else key[0]) in robots
+        }
+        assert kept == expected, part
+    assert not update_of(again).taken
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_rounding_changes_no_line_of_a_baseline(seed: int) -> None:
+    """Base parameters that are zero are numbers of 1e-12 beside the largest, other in each run."""
+    rng = random.Random(seed)
+    true = {f"link{i}.m": 10.0 ** rng.uniform(-1, 1) for i in range(3)}
+    texts = set()
+    for _ in range(3):
+        zeros = {f"link{i}.hx": rng.uniform(-1e-11, 1e-11) for i in range(3)}
+        texts.add(to_text(baseline_of(replace(TWO, parameters={("ur5", "none"): true | zeros}))))
+    assert len(texts) == 1

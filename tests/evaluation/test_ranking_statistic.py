@@ -5,6 +5,8 @@ from itertools import product
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import rankdata, wilcoxon
 
 from sysid_bench.evaluation.intervals import ROBOTS, median_interval
@@ -118,6 +120,22 @@ def test_few_robots_have_no_interval() -> None:
 )
 def test_a_verdict_follows_the_interval_and_the_margin(low: float, high: float, found: str) -> None:
     assert verdict(np.log(low), np.log(high), 0.1) == found
+
+
+@given(st.floats(0.01, 1.0), st.tuples(*[st.sampled_from([0, -1, 1]) | st.floats(-3, 3)] * 2))
+def test_ends_at_zero_and_at_the_margin_decide_for_both_sides(
+    margin: float, ends: tuple[float, float]
+) -> None:
+    """An interval that ends at zero excludes nothing; one that ends at the margin is within it."""
+    limit = float(np.log1p(margin))
+    low, high = sorted(limit * end for end in ends)
+    found = verdict(low, high, margin)
+    assert (found == "equivalent") == (max(-low, high) <= limit)
+    if found != "equivalent":
+        sides = {"better": high < 0, "worse": low > 0, "undecided": low <= 0 <= high}
+        assert sides[found]
+    swapped = {"better": "worse", "worse": "better"}
+    assert verdict(-high, -low, margin) == swapped.get(found, found)
 
 
 def test_wins_count_failures_as_lost_and_leave_absent_rows_out() -> None:

@@ -184,10 +184,10 @@ def test_names_of_joints_in_a_csv_are_not_formulas_and_read_back() -> None:
 
 def test_csv_and_the_table_read_back() -> None:
     asked = commands(2)
-    table = pd.read_csv(io.StringIO(commands_csv(asked)))
+    table = pd.read_csv(io.StringIO(commands_csv(asked)), dtype=str)
     for key in ("q", "v", "a", "tau"):
         names = [f"{joint}.{key}" for joint in asked.joints]
-        np.testing.assert_array_equal(table[names].to_numpy(), getattr(asked, key))
+        np.testing.assert_array_equal(table[names].to_numpy(dtype=float), getattr(asked, key))
     drives = damiao_motors(asked.joints, {"all": {"motor": "DM4310"}})
     inside, report = limit_commands(asked, drives, most=1.0)
     text = table_text(inside, drives, report)

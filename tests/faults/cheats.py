@@ -159,6 +159,60 @@ class Network(_Cheat):
             return True
 
 
+class Socket(_Cheat):
+    """Speaks to a program outside, as to a server of terminals, which would start another."""
+
+    def reach(self, problem: Any) -> bool:
+        with socket.socket(socket.AF_UNIX) as line:
+            line.connect(str(self.seeds.with_name("socket")))
+        return True
+
+
+class SharedMemory(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        return any(Path("/dev/shm").iterdir())
+
+
+class Terminal(_Cheat):
+    def reach(self, problem: Any) -> bool:
+        return any(one.open("wb") for one in Path("/dev/pts").iterdir() if one.name.isdigit())
+
+
+class WritesPackage(_Cheat):
+    """Would change the package, or what it keeps in a cache, for the cells behind."""
+
+    def reach(self, problem: Any) -> bool:
+        import sysid_bench
+
+        for file in (Path(sysid_bench.__file__), Path(np.__file__), self.seeds.with_name("cache")):
+            with contextlib.suppress(OSError), file.open("ab"):
+                return True
+        return False
+
+
+class Serializers(_Cheat):
+    """Replaces what writes its answer."""
+
+    def reach(self, problem: Any) -> bool:
+        import json
+
+        dumps = json.dumps
+        more = {"torque_error": 0.0, "seconds": 0.0, "id": "0" * 12, "row": {}, "cell": "x"}
+        json.dumps = lambda value, **_: dumps({**value, **more})
+        return False
+
+
+class Processes(_Cheat):
+    """Honest, with locks and processes of its own."""
+
+    def reach(self, problem: Any) -> bool:
+        import multiprocessing
+
+        with multiprocessing.get_context("fork").Pool(2) as pool:
+            assert pool.map(abs, [-1, -2]) == [1, 2]
+        return False
+
+
 class Scorer(_Cheat):
     """Replaces what scores it, in its own process."""
 

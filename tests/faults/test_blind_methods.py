@@ -8,7 +8,7 @@ import pytest
 
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.harness.work.blind_process import ISOLATION
+from sysid_bench.harness.work.confinement import ISOLATION
 from sysid_bench.words import MACHINE_FIELDS
 
 HERE = Path(__file__).parent

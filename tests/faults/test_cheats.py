@@ -1,23 +1,29 @@
 """Law: no third-party method has the truth within reach, changes a row, or is scored otherwise."""
 
 import json
+import os
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
+from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from sysid_bench.commands.plan import plan
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.blind_data import SecretError, method_data
 from sysid_bench.experiments.execute import load_experiment, prepare
 from sysid_bench.experiments.spec import SEEDS
-from sysid_bench.harness.plan import cells_of_suite
+from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run import job_of, run
-from sysid_bench.harness.suite.load_suite import parse_suite
-from sysid_bench.harness.work.blind_process import ISOLATION
+from sysid_bench.harness.stored_run import RunFolder
+from sysid_bench.harness.suite.load_suite import load_suite, parse_suite
+from sysid_bench.harness.suite.names import default_names
+from sysid_bench.harness.work.confinement import ISOLATION
 from sysid_bench.words import MACHINE_FIELDS
 
 from . import cheats
@@ -25,8 +31,11 @@ from . import cheats
 FILE = Path(cheats.__file__)
 IN_MEMORY = ("Heap", "Frames", "References")
 OF_PROCESSES = ("Memory", "VirtualMemory", "OtherEnvironments", "Descriptors")
-OF_FILES = ("SeedFile", "Rows", "WritesRows", "Links", "Network")
-OWN = ("Environment", "Scorer", "Clock", "Preload", "Preload 2")
+OF_FILES = (
+    "SeedFile", "Rows", "WritesRows", "Links", "Network", "Socket", "SharedMemory", "Terminal",
+    "WritesPackage",
+)  # fmt: skip
+OWN = ("Environment", "Scorer", "Serializers", "Clock", "Preload", "Preload 2", "Processes")
 CHEATS = (*IN_MEMORY, *OF_PROCESSES, *OF_FILES, *OWN)
 SECRET = "0123456789abcdef" * 4
 SEAL = "a8ae6e6ee929abea3afcfc5258c8ccd6f85273e0d4626d26c7279f3250f77c8e"
@@ -35,9 +44,18 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="namespaces are 
 
 
 @pytest.fixture
-def port() -> Iterator[int]:
-    with socket.create_server(("127.0.0.1", 0)) as server:
+def port(tmp_path: Path) -> Iterator[int]:
+    """What cheats would reach: a port, a socket in a file, shared memory and a terminal."""
+    shared = SharedMemory(create=True, size=8)
+    terminal = os.openpty()
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        socket.create_server(str(tmp_path / "socket"), family=socket.AF_UNIX),
+    ):
         yield server.getsockname()[1]
+    shared.unlink()
+    for descriptor in terminal:
+        os.close(descriptor)
 
 
 def rows_with(
@@ -163,7 +181,6 @@ def test_in_the_process_of_the_truth_cheats_reach_it(tmp_path: Path) -> None:
 
 def test_data_that_lead_to_the_truth_cannot_be_sent() -> None:
     """A guard of the guard: an object with the truth in a function of a problem is an error."""
-    from dataclasses import replace
     from functools import partial
 
     prepared = _prepared()
@@ -182,3 +199,167 @@ def _prepared() -> Any:
     )
     (cell,) = cells_of_suite(suite).cells
     return prepare(*load_experiment(job_of([cell], suite, None)))
+
+
+# --- Code that runs before any cell -------------------------------------------------------------
+
+HOOKS = '''
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from sysid_bench.types import Estimate
+
+
+def look():
+    """End this import or construction where a secret is in reach."""
+    reached = ["environment"] if any("SEEDS" in name for name in os.environ) else []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if b"SYSID_BENCH_SEEDS=" in (process / "environ").read_bytes():
+                reached.append("another environment")
+        except OSError:
+            pass
+    try:
+        reached += ["seeds"] if Path(SEEDS).read_text() else []
+    except OSError:
+        pass
+    if reached:
+        raise SystemExit("reached " + ", ".join(reached))
+
+
+class Base:
+    def __init_subclass__(cls):
+        HOOK == "subclass" and look()
+
+    def solve(self, problem):
+        look()
+        return Estimate(np.linalg.lstsq(problem.W, problem.b, rcond=None)[0])
+
+
+class Signature:
+    def __get__(self, *_):
+        HOOK == "signature" and look()
+
+
+class Method(Base):
+    def __init__(self):
+        HOOK == "constructor" and look()
+
+    if HOOK == "signature":
+        __signature__ = Signature()
+
+
+HOOK == "import" and look()
+'''
+PLACES = ("import", "subclass", "signature", "constructor")
+
+
+def suite_of_hooks(folder: Path, plant: str = '"file:sealed.toml"', more: str = "") -> str:
+    """A suite whose methods look for the secret where their code runs first."""
+    (folder / "seeds.txt").write_text(f"{SECRET}\n")
+    (folder / "sealed.toml").write_text(f'schema = 1\nsealed = "{SEAL}"\neffects = []\n')
+    text = f"""
+        schema = 1
+        name = "hooks"
+        [defaults]
+        excitation = {{ use = "fourier", harmonics = 3, period = "2 s" }}
+        held_out = ["ptp"]
+        plant = {plant}
+        [[robot]]
+        use = "scara"
+        """
+    for place in PLACES:
+        head = f"SEEDS, HOOK = {str(folder / 'seeds.txt')!r}, {place!r}\n"
+        (folder / f"{place}.py").write_text(head + HOOKS)
+        text += f'[[estimator]]\nuse = "file:{place}.py:Method"\nlabel = "{place}"\n'
+    return text + more
+
+
+@pytest.mark.parametrize("plant", ['"file:sealed.toml"', '"matched"'])
+def test_code_that_runs_before_any_cell_reaches_no_secret(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plant: str
+) -> None:
+    (tmp_path / "suite.toml").write_text(suite_of_hooks(tmp_path, plant))
+    monkeypatch.setenv(SEEDS, str(tmp_path / "seeds.txt"))
+    rows = run(str(tmp_path / "suite.toml"), tmp_path / "run", jobs=1).folder.rows().rows.values()
+    assert len(rows) == len(PLACES)
+    assert not [row["reason"] for row in rows if "reached" in row["reason"]]
+    assert {row["status"] for row in rows} == {"ok"}
+    # Read in the caller's process, the suite runs no code at all.
+    before = len(sys.modules)
+    parse_suite((tmp_path / "suite.toml").read_text(), folder=tmp_path)
+    assert len(sys.modules) == before
+
+
+def test_without_its_confinement_planning_gives_the_secret_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = suite_of_hooks(tmp_path)
+    monkeypatch.setenv(SEEDS, str(tmp_path / "seeds.txt"))
+    with pytest.raises(UsageError) as error:
+        parse_suite(text, folder=tmp_path, names=default_names())
+    assert str(error.value).count("reached environment, seeds") == len(PLACES)
+
+
+def test_without_namespaces_planning_runs_no_code_beside_seeds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "suite.toml").write_text(suite_of_hooks(tmp_path))
+    monkeypatch.setenv(ISOLATION, "process")
+    monkeypatch.setenv(SEEDS, str(tmp_path / "seeds.txt"))
+    assert len(plan(tmp_path / "suite.toml").cells) == len(PLACES)
+
+
+def test_beside_seeds_no_other_code_of_others_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Metrics and effects see the truth, and other verbs run a plug-in as the user does."""
+    metric = "from sysid_bench.types import Metric\n\n\ndef own(cell):\n    return 0.0\n\n\n"
+    metric += 'Own = Metric("own", "Own", compute=own)\n'
+    (tmp_path / "metric.py").write_text(metric)
+    more = '[[metric]]\nuse = "file:metric.py:Own"\n'
+    (tmp_path / "suite.toml").write_text(suite_of_hooks(tmp_path, more=more))
+    monkeypatch.setenv(SEEDS, str(tmp_path / "seeds.txt"))
+    rows = run(str(tmp_path / "suite.toml"), tmp_path / "run", jobs=1).folder.rows().rows.values()
+    assert {row["status"] for row in rows} == {"failed"}
+    assert all("unset SYSID_BENCH_SEEDS" in row["reason"] for row in rows)
+    words = ["check-plugin", f"file:{tmp_path}/import.py:Method", "--kind", "estimator"]
+    done = subprocess.run(
+        [sys.executable, "-m", "sysid_bench", *words], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "unset SYSID_BENCH_SEEDS" in done.stderr
+
+
+def test_a_plan_that_names_more_than_its_suite_runs_it_blind(tmp_path: Path) -> None:
+    """A run folder of somebody else: its plan has a method that its suite does not have."""
+    text = suite_of_hooks(tmp_path, '"matched"').partition("[[estimator]]")[0]
+    (tmp_path / "suite.toml").write_text(f'{text}[[estimator]]\nuse = "ols"\n')
+    suite = load_suite(tmp_path / "suite.toml")
+    cells = cells_of_suite(suite).cells
+    hidden = replace(cells[0], estimator={"use": f"file:{FILE}:Heap"})
+    RunFolder.new(tmp_path / "run", suite, Plan((hidden,)), {})
+    (row,) = run(str(tmp_path / "run"), jobs=1).folder.rows().rows.values()
+    assert row["stats"]["reached"] == 0.0
+    assert row["isolation"] is not None
+
+
+def test_files_of_the_working_folder_replace_no_library(tmp_path: Path) -> None:
+    """A reviewer works in the folder of a submission."""
+    for name in ("numpy", "sysid_bench", "json", "sitecustomize", "usercustomize", "conftest"):
+        (tmp_path / f"{name}.py").write_text('open("ran", "a").write(__name__)\n1 / 0\n')
+    (tmp_path / "own.pth").write_text('import os; open("ran", "a").write("pth")\n')
+    (tmp_path / "mine.py").write_text("from tests.faults.cheats import Honest\n")
+    text = suite_of_hooks(tmp_path, '"matched"').partition("[[estimator]]")[0]
+    text += '[[estimator]]\nuse = "ols"\n[[estimator]]\nuse = "mine:Honest"\n'
+    (tmp_path / "suite.toml").write_text(text)
+    command = [str(Path(sys.executable).with_name("sysid-bench")), "run", "suite.toml", "-o", "run"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "ran").exists()

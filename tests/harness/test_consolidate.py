@@ -168,7 +168,7 @@ def test_the_status_of_consolidated_rows_reads_none_of_them(
         patch.setattr("sysid_bench.harness.stored_run.FrameFiles", None)
         assert status(run.path) == before
     for file in row_files(run.path / "cells"):
-        file.write_bytes(file.read_bytes().replace(b'"status": "', b'"status": "x'))
+        file.write_bytes(file.read_bytes().replace(b'"status":"', b'"status":"x'))
     assert status(run.path).open == before.cells
 
 

@@ -5,6 +5,7 @@ import json
 import math
 import os
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from sysid_bench.harness.work.row_files import (
     read_rows,
     stored_rows,
     with_hash,
+    without_hash,
 )
 
 
@@ -201,6 +203,32 @@ json_values: Any = st.recursive(
 def test_canonical_text_is_that_of_the_value_alone(value: dict[str, Any]) -> None:
     assert canonical(dict(reversed(value.items()))) == canonical(value)
     assert json.loads(canonical(value)) == value
+
+
+odd_values = st.one_of(
+    json_values,
+    st.floats(),
+    st.floats(width=32).map(np.float32),
+    st.floats().map(np.float64),
+    st.integers(-(2**40), 2**40).map(np.int64),
+    st.booleans().map(np.bool_),
+    st.lists(st.floats(), max_size=3).map(np.array),
+    st.tuples(st.integers(-(2**80), 2**80), st.text(st.characters())),
+    st.dictionaries(st.integers() | st.none() | st.floats(), st.floats(), max_size=2),
+    st.dictionaries(st.text(), st.floats(), max_size=2).map(MappingProxyType),
+    st.sampled_from(["\udc80", "\udfff file"]),
+)
+
+
+@given(st.dictionaries(st.text(), odd_values, max_size=5))
+def test_a_row_is_written_as_plain_json_says(
+    tmp_path_factory: pytest.TempPathFactory, value: dict[str, Any]
+) -> None:
+    row = {**value, "id": "a", "status": "ok", "joints": None, "parameters_table": None}
+    with RowWriter(new_row_file(tmp_path_factory.mktemp("cells"), "w")) as writer:
+        writer.write(row)
+    (line,) = writer.path.read_bytes().splitlines()
+    assert json.loads(without_hash(line)) == plain(row)
 
 
 @pytest.mark.parametrize("name", ["cells.parquet", "parameters.parquet", "consolidated.json"])

@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from sysid_bench.harness.comparison.run_difference import RunDifference, find_di
 from sysid_bench.harness.comparison.run_values import CellValues, RunValues
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.behaviour import behaviour_of, model_hash
-from sysid_bench.models.behaviour_change import TORQUE, Behaviour
+from sysid_bench.models.behaviour_change import TORQUE, Behaviour, behaviour_changes
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.model_record import model_record
@@ -456,6 +457,106 @@ def test_torques_are_those_of_the_equations_of_motion() -> None:
     assert np.abs(a).max() <= 3.0
     assert np.abs(np.arcsin(sine)).max() <= 1.5
     assert np.abs(np.diff(sine)).min() > 1e-3
+
+
+PENDULUM = """<mujoco><worldbody><body><joint name="j" type="{kind}" axis="0 1 0"/>
+  <inertial mass="{mass!r}" pos="0 0 {place!r}" diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>
+</body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_robot_of_any_size_has_nine_digits(seed: int) -> None:
+    """From a finger to an excavator: neither fewer digits, nor the last bits of a processor."""
+    rng = np.random.default_rng(seed)
+    mass, place = 10.0 ** rng.uniform(-5, 5), 10.0 ** rng.uniform(-3, 1)
+    inertia = mass * place**2 * rng.uniform(0.1, 1.0)
+    for kind in ("hinge", "slide"):
+        text = PENDULUM.format(kind=kind, mass=mass, place=place, inertia=inertia)
+        found = behaviour_of(robot_of(text))["j"]
+        for quantity, wanted in (
+            ("mass", [mass]), ("first moment of mass", [0, 0, mass * place]),
+            ("inertia", [inertia + mass * place**2, 0, 0, inertia + mass * place**2, 0, inertia]),
+        ):  # fmt: skip
+            size = max(map(abs, wanted))
+            assert found[quantity] == pytest.approx(wanted, abs=5e-9 * size)
+            assert all(float(f"{x:.9g}") == x for x in found[quantity])
+        heavier = behaviour_of(robot_of(text.replace(repr(mass), repr(mass * (1 + 1e-13)))))
+        assert heavier["j"] == found
+
+
+@pytest.mark.parametrize(("kind", "reach"), [("hinge", 3.0), ("slide", 1.0)])
+def test_states_reach_as_far_as_gravity(kind: str, reach: float) -> None:
+    """Over many joints: accelerations fill their range, and no more."""
+    found = []
+    for name in "abcdefgh":
+        text = PENDULUM.format(kind=kind, mass=1.0, place=0.0, inertia=1.0)
+        text = text.replace('name="j"', f'name="{name}"').replace(
+            "<worldbody>", '<option gravity="0 0 0"/><worldbody>'
+        )
+        found += behaviour_of(robot_of(text))[name][TORQUE]  # = a of unit inertia
+    assert len(set(found)) == 8 * 5
+    assert 0.9 * reach < np.abs(found).max() <= reach
+    assert np.abs(np.mean(found)) < 0.3 * reach
+
+
+def _names_and_numbers(rng: np.random.Generator) -> dict[str, dict[str, list[Any]]]:
+    """The behaviour of a robot: numbers of all sizes, infinities and names."""
+    return {
+        joint: {
+            "inertia": [*(10.0 ** rng.uniform(-9, 9) * rng.normal(size=6))],
+            "range": ["-inf", "inf", rng.normal(), 0.0],
+            "kind": ["hinge"],
+            TORQUE: [*rng.normal(size=5)],
+        }
+        for joint in ("", "j1", "j2", "j3")
+    }
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_values_are_the_same_up_to_a_millionth_of_the_largest(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    before = _names_and_numbers(rng)
+    after = json.loads(json.dumps(before))
+    for part in after.values():
+        for quantity in ("inertia", TORQUE):
+            size = max(map(abs, part[quantity]))
+            part[quantity] = [x + 0.9e-6 * size * rng.uniform(-1, 1) for x in part[quantity]]
+    assert behaviour_changes("r", before, after) == []
+    joint, quantity = rng.choice([*before]), rng.choice(["inertia", TORQUE])
+    numbers = after[joint][quantity]
+    place = rng.integers(len(numbers))
+    numbers[place] = before[joint][quantity][place] + rng.choice([-1, 1]) * 1.2e-6 * max(
+        map(abs, before[joint][quantity])
+    )
+    for pair in ((before, after), (after, before)):
+        (change,) = behaviour_changes("r", *pair)
+        assert (change.robot, change.joint, change.quantity) == ("r", joint, quantity)
+        assert (change.before, change.after) == tuple(one[joint][quantity] for one in pair)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "values"),
+    [
+        ("range", ["inf", "-inf", 1.0, 0.0]), ("range", ["-inf", 5.0, 1.0, 0.0]),
+        ("range", ["-inf", "inf", 1.0]), ("range", None), ("kind", ["slide"]), ("gear", [2.0]),
+        ("inertia", [0.0] * 6), ("kind", ["hinge", "hinge"]),
+    ],
+)  # fmt: skip
+def test_what_is_another_list_is_a_change_and_causes_come_first(
+    quantity: str, values: list[object] | None
+) -> None:
+    before = _names_and_numbers(np.random.default_rng(0))
+    for part in before.values():
+        part["range"] = ["-inf", "inf", 1.0, 0.0]
+    after = {joint: dict(part) for joint, part in before.items()}
+    after["j2"] |= {quantity: values or [], TORQUE: [9.0] * 5}
+    if values is None:
+        del after["j2"][quantity]
+    for pair in ((before, after), (after, before)):
+        changes = behaviour_changes("r", *pair)
+        assert [(one.joint, one.quantity) for one in changes] == [("j2", quantity), ("j2", TORQUE)]
+        assert changes[0].before == pair[0]["j2"].get(quantity)
+        assert changes[0].after == pair[1]["j2"].get(quantity)
 
 
 def test_a_record_is_kept_and_follows_its_files(

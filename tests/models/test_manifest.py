@@ -129,6 +129,22 @@ def test_a_tool_that_is_not_there_is_refused_when_loaded(tmp_path: Path) -> None
         load_robot(manifest_file(tmp_path, HEAD + "tool = 'arms'"))
 
 
+def test_terms_that_replace_those_of_the_model_are_named(tmp_path: Path) -> None:
+    (tmp_path / "a.urdf").write_text(
+        '<robot name="a"><link name="b"/><link name="l"><inertial><mass value="1"/><inertia ixx="1"'
+        ' iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j" type='
+        '"continuous"><parent link="b"/><child link="l"/><axis xyz="0 0 1"/><dynamics damping="2" '
+        'friction="3"/></joint></robot>'
+    )
+    terms = "[joints.all]\nviscous = 5\n[joints.j]\nviscous = 7.5\ncoulomb = 3"
+    (tmp_path / "robot.toml").write_text(f'name = "a"\nfile = "a.urdf"\n{terms}')
+    robot = load_robot(find_manifest(str(tmp_path)))
+    assert robot.joint_terms.viscous[0] == 7.5
+    assert robot.repairs == (
+        "damping of a.urdf replaced by the viscous of robot.toml: j 7.5 (file: 2)",
+    )
+
+
 def test_what_a_manifest_says_reaches_the_robot(tmp_path: Path) -> None:
     text = """
     tool = "arm"

@@ -79,7 +79,7 @@ def test_settings_follow_the_file_in_every_verb(
 @pytest.mark.parametrize(
     ("words", "culprit"),
     [
-        (("show", "wls?tool=hand"), "'wls' is no robot: only robots have tool"),
+        (("show", "wls?tool=hand"), "'wls' is not a robot: only robots have tool"),
         (("init", "robot", "a.urdf", "--tool", "hand"), "behind the file"),
     ],
 )

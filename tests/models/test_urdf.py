@@ -11,7 +11,7 @@ from sysid_bench import package_folders
 from sysid_bench.errors import ModelError
 from sysid_bench.models.urdf import Mimic, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml
-from sysid_bench.spatial import inertia_matrix
+from sysid_bench.spatial import inertia_matrix, matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.types import Array
 from tests.closeness import assert_close
 from tests.robots import named_robot, random_rotation, robot_of, urdf_files, urdf_robot
@@ -297,3 +297,26 @@ def test_a_floating_robot_begins_below_the_world() -> None:
     assert floating.rows == ("root.vx", "root.vy", "root.vz", "root.wx", "root.wy", "root.wz", "j")
     assert floating.body_names == ("a", "b")
     assert robot_of(text).rows == ("j",)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_inertial_frames_may_be_turned_in_any_way(seed: int) -> None:
+    """Against R I R^T of the written numbers; MuJoCo before 3.14 gets this wrong by itself."""
+    rng = np.random.default_rng(seed)
+    roll, pitch, yaw = rpy = rng.uniform(-3, 3, size=3)
+    density = np.diag(rng.uniform(1, 2, size=3))
+    if seed % 2:  # else the axes of the inertial frame are principal
+        turn = random_rotation(rng)
+        density = turn @ density @ turn.T
+    inertia = np.trace(density) * np.eye(3) - density
+    six = " ".join(map(repr, inertia[ROWS, COLUMNS].tolist()))
+    words = " ".join(map(repr, rpy.tolist()))
+    text = robot(link("a"), link("b", inertia=six), joint("j", "a", "b"))
+    turned = text.replace('xyz="0 0 0"', f'xyz="0 0 0" rpy="{words}"')
+    found = robot_of(turned).phi[1, 4:]
+    x, y, z = (
+        matrix_of_quaternion(quaternion_of_rotation(angle * axis))
+        for angle, axis in zip((roll, pitch, yaw), np.eye(3), strict=True)
+    )
+    R = z @ y @ x
+    assert_close(inertia_matrix(found), R @ inertia @ R.T, 1e-13)

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sysid_bench.evaluation.robot_statistic import median_figure, rank_figure, ratio_figure
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.claims import ClaimFinding, ClaimRows, claim_findings
@@ -222,3 +223,129 @@ def test_values_are_held_against_the_ranges_of_the_other_units() -> None:
     assert apart.low < 0.8
     few = found(lines[lines["excitation"].isin(["run 0", "run 1"])], **changes)
     assert few.verdict == "not testable"
+
+
+# --- Every figure by its definition, one case at a time -------------------------------------------
+
+
+def drawn(seed: int) -> pd.DataFrame:
+    """Rows of four methods at two levels, in which all that can be is: failures, refusals, no
+    value, infinite values, rounding, and two rows of one case."""
+    rng, rows = np.random.default_rng(seed), []
+    for robot, plant, repeat in product(ROBOTS, ("L1", "L2"), range(4)):
+        for method in ("good", "wls", "bad", "odd"):
+            for _ in range(1 + (rng.random() < 0.1)):
+                kind = rng.choice(["ok", "failed", "unsupported", "none", "inf", "tiny"],
+                                  p=[0.85, 0.05, 0.02, 0.02, 0.03, 0.03])  # fmt: skip
+                value = {"none": np.nan, "inf": np.inf, "tiny": 1e-13}.get(kind, rng.lognormal())
+                rows.append(
+                    {"robot": robot, "plant": plant, "repeat": repeat, "estimator": method,
+                     "run": "0", "status": kind if kind in ("failed", "unsupported") else "ok",
+                     "reason": None, "parameter_error": float(value)}
+                )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def by_case(lines: pd.DataFrame, method: str) -> dict[tuple[str, int], float]:
+    """Mean of the answers of each case of a method at L1, NaN where there is none."""
+    chosen = lines[(lines["estimator"] == method) & (lines["plant"] == "L1")]
+    found: dict[tuple[str, int], list[float]] = {}
+    for row in chosen.to_dict("records"):
+        if row["status"] != "unsupported":
+            values = found.setdefault((row["robot"], row["repeat"]), [])
+            is_answer = row["status"] == "ok" and np.isfinite(row["parameter_error"])
+            values += [row["parameter_error"]] * int(is_answer)
+    return {case: float(np.mean(v)) if v else np.nan for case, v in found.items()}
+
+
+def robot_means(values: dict[tuple[str, int], float]) -> dict[str, float]:
+    robots: dict[str, list[float]] = {}
+    for (robot, _), value in values.items():
+        if not np.isnan(value):
+            robots.setdefault(robot, []).append(value)
+    return {robot: float(np.mean(robots[robot])) for robot in sorted(robots)}
+
+
+def logs_of(own: dict[Any, float], against: dict[Any, float]) -> dict[Any, float]:
+    """ln of the ratio of each case with a reference; 0 without an own answer, none of rounding."""
+    floor, found = METRICS["parameter_error"].floor, {}
+    for case in own.keys() & against.keys():
+        if not np.isnan(against[case]):
+            value = against[case] if np.isnan(own[case]) else own[case]
+            if value > floor and against[case] > floor:
+                found[case] = float(np.log(value / against[case]))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_every_figure_is_that_of_its_definition(seed: int) -> None:
+    lines = drawn(seed)
+    own, wls = by_case(lines, "good"), by_case(lines, "wls")
+    pairs = [case for case in own if not np.isnan(wls.get(case, np.nan))]
+    metric = {"metric": "parameter_error", "threshold": (1.0,)}
+    logs = np.array([*robot_means(logs_of(own, wls)).values()])
+    differences = {c: (wls[c] if np.isnan(own[c]) else own[c]) - wls[c] for c in pairs}
+    apart = np.array([*robot_means(differences).values()])
+    for statistic, figure in (("ratio", ratio_figure(logs)), ("difference", median_figure(apart))):
+        finding = found(lines, statistic=statistic, **metric)
+        assert finding.value == pytest.approx(figure.value)
+        assert (finding.low, finding.high) == pytest.approx((figure.low, figure.high))
+        assert (finding.count, finding.cells) == (figure.count, len(pairs))
+        assert finding.lost == sum(np.isnan(own[case]) for case in pairs)
+    good = lines[(lines["estimator"] == "good") & (lines["plant"] == "L1")]
+    good = good[good["status"] != "unsupported"]
+    answers = good["parameter_error"].where(
+        (good["status"] == "ok") & np.isfinite(good["parameter_error"])
+    )
+    medians = answers.groupby(good["robot"]).mean().to_numpy()
+    finding = found(lines, statistic="median", against=None, **metric)
+    assert finding.value == pytest.approx(np.median(medians))
+    assert (finding.cells, finding.lost) == (len(good), int(answers.isna().sum()))
+    met = (good["status"] == "ok") & (good["parameter_error"] < 1)
+    share = met.groupby(good["robot"]).mean().to_numpy(dtype=float)
+    finding = found(
+        lines, statistic="share", metric=None, against=None,
+        meets='status == "ok" and parameter_error < 1',
+    )  # fmt: skip
+    assert finding.value == pytest.approx(share.mean())
+    assert (finding.cells, finding.lost) == (len(good), 0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_rank_is_among_the_robots_that_all_methods_answer(seed: int) -> None:
+    lines = drawn(seed)
+    lines.loc[(lines["estimator"] == "odd") & (lines["robot"] == "ur5"), "status"] = "failed"
+    own = by_case(lines, "good")
+    of_others = [
+        robot_means(logs_of(own, by_case(lines, other))) for other in ("bad", "odd", "wls")
+    ]
+    robots = [robot for robot in sorted(ROBOTS) if all(robot in one for one in of_others)]
+    table = np.array([[0.0, *(-one[robot] for one in of_others)] for robot in robots])
+    figure, finding = (
+        rank_figure(table),
+        found(lines, statistic="rank", against='estimator != "good"', metric="parameter_error"),
+    )
+    assert "ur5" not in robots
+    assert (finding.value, finding.count) == (figure.value, len(robots))
+    assert (finding.low, finding.high) == (figure.low, figure.high)
+
+
+def test_what_is_not_testable_counts_nothing() -> None:
+    for changes in ({"missing": "a thermometer"}, {"level": ("L4",)}, {"metric": "seconds"}):
+        finding = found(cells(), **changes)
+        assert (finding.count, finding.cells, finding.lost) == (0, 0, 0)
+        assert (finding.value, finding.low, finding.high) == (None, None, None)
+
+
+@pytest.mark.parametrize("of", [20, 30])
+def test_a_tenth_of_the_cells_may_be_lost(of: int) -> None:
+    """At a tenth a claim still holds, with one more it is open."""
+    lines = pd.concat([cells(repeat).assign(run=str(repeat)) for repeat in range(5)])
+    lines = lines[(lines["plant"] == "L1")].reset_index(drop=True)
+    own = lines.index[lines["estimator"] == "good"]
+    lines = lines.drop(own[of:])
+    for lost, verdict in ((of // 10, "holds"), (of // 10 + 1, "open")):
+        fewer = lines.copy()
+        fewer.loc[own[:of][:: of // lost][:lost], "status"] = "failed"
+        finding = found(fewer, statistic="median", against=None)
+        assert (finding.verdict, finding.lost, finding.cells) == (verdict, lost, of)

@@ -2,6 +2,8 @@
 a failure never wins, few robots claim nothing."""
 
 import json
+from collections import Counter
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,9 @@ import pandas as pd
 import pytest
 
 from sysid_bench.errors import UsageError
+from sysid_bench.evaluation.intervals import median_interval
+from sysid_bench.evaluation.robot_statistic import least_p, rank_test_p, verdict
+from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.ranking import RATIOS, MethodRatio, Ranking, rank_cells
 from sysid_bench.reporting.ranking_figures import profile
@@ -240,6 +245,136 @@ def test_equal_answers_count_once_and_are_named() -> None:
     twin = pd.concat([twin, twin[twin["estimator"] == "wls"].assign(estimator="twin")])
     [ranking] = ranked(twin)
     assert entry(ranking, "twin", "verdict").text == "same as wls"
+
+
+# --- Every figure by its definition, one case at a time -------------------------------------------
+
+
+def drawn(seed: int, metric: str) -> pd.DataFrame:
+    """Cells of four methods on nine robots, in which all that can be is: failures, no value, no
+    row, no convergence, errors at the floor and just above it, exact data and told truth."""
+    rng, rows, floor = np.random.default_rng(seed), [], METRICS[metric].floor
+    for robot, repeat in product(range(9), range(4)):
+        case = {
+            "robot": f"r{robot}",
+            "repeat": repeat,
+            "plant": "matched",
+            "signals": "none, exact",
+        }
+        case["noise"] = "exact" if repeat == 3 else "tau 1 %"
+        case["prior"] = "truth" if robot == 8 and repeat == 1 else "mass 20 %"
+        for method in ("wls", "one", "two", "three"):
+            kind = rng.choice(["row", "none", "failed", "empty", "floor"], p=[0.8, *[0.05] * 4])
+            error = float(rng.lognormal(0.3 * (method == "two"), 0.5))
+            error *= 10.0 ** rng.choice([-5.9, -6.1, -1.0]) if repeat == 3 else 1.0
+            error = floor * rng.choice([0.5, 1.0, 1.5]) if kind == "floor" else error
+            row: dict[str, Any] = {
+                "estimator": method,
+                "status": "timeout" if kind == "failed" else "ok",
+            }
+            row[metric] = None if kind in ("failed", "empty") else error
+            row["converged"] = [None, True, False][rng.integers(3)]
+            rows += [case | row] if kind != "none" else []
+    return pd.DataFrame(rows)
+
+
+@pytest.mark.parametrize("metric", ["parameter_error", "torque_error"])
+@pytest.mark.parametrize("seed", range(6))
+def test_every_figure_is_that_of_its_definition(seed: int, metric: str) -> None:
+    cells, floor = drawn(seed, metric), METRICS[metric].floor
+    cells = cells.astype({"converged": object, metric: float})
+    keys = ["robot", "repeat", "noise", "prior"]
+    of_reference = cells[cells["estimator"] == "wls"].set_index(keys)[metric].to_dict()
+    unconverged = ["accepted", "replaced"][seed % 2]
+    for method, one in compared(cells, metric=metric, unconverged=unconverged).items():
+        logs: dict[str, dict[str, list[float]]] = {
+            name: {} for name in ("ratio", "fallback", "replaced")
+        }
+        statuses, count, restless, laws = Counter[str](), 0, 0, [0, 0]
+        for row in cells[cells["estimator"] == method].to_dict("records"):
+            error, case = row[metric], tuple(row[key] for key in keys)
+            if row["noise"] == "exact":
+                laws = [laws[0] + (error <= 1e-6), laws[1] + 1]
+                continue
+            reference = of_reference.get(case, np.nan)
+            if row["prior"] == "truth" or not reference > floor or error <= floor:
+                continue
+            count += 1
+            own = np.log(error / reference)
+            for name, replaced in (("ratio", None), ("fallback", 0.0), ("replaced", 0.0)):
+                value = replaced if np.isnan(own) else own
+                if name == "replaced" and row["converged"] is False:
+                    value = 0.0
+                if value is not None:
+                    logs[name].setdefault(row["robot"], []).append(value)
+            if np.isnan(own):
+                statuses["no value" if row["status"] == "ok" else row["status"]] += 1
+            else:
+                restless += row["converged"] is False
+        means = {
+            name: np.array([np.mean(v) for v in found.values()]) for name, found in logs.items()
+        }
+        for name, values in means.items():
+            assert getattr(one, name).value == pytest.approx(np.exp(np.median(values)), rel=1e-8)
+        deciding = means["replaced" if unconverged == "replaced" else "fallback"]
+        assert (one.cells, one.unconverged, one.laws) == (count, restless, tuple(laws))
+        assert (dict(one.statuses), one.failed) == (dict(statuses), statuses.total())
+        assert one.robots == len(deciding)
+        rounded = np.where(np.abs(deciding) < 1e-8, 0.0, deciding)
+        assert one.p == pytest.approx(rank_test_p(rounded))
+        assert one.smallest_p == least_p(int(np.count_nonzero(rounded)))
+        own = count - statuses.total() - (restless if unconverged == "replaced" else 0)
+        found = verdict(*(median_interval(deciding) or (-9.0, 9.0)), 0.1)
+        often = own < 0.9 * count and found != "worse"
+        assert one.verdict == ("undecided" if often else found)
+        assert len(one.ratios) == count
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ranks_and_wins_are_those_of_their_definition(seed: int) -> None:
+    cells = drawn(seed, "parameter_error").astype({"converged": object, "parameter_error": float})
+    [ranking] = ranked(cells, metric="parameter_error")
+    medians = [np.nanmedian(one.logs) for one in ranking.comparisons]
+    assert medians == sorted(medians)
+    floor, keys = METRICS["parameter_error"].floor, ["robot", "repeat", "noise", "prior"]
+    kept = cells[(cells["noise"] != "exact") & (cells["prior"] != "truth")]
+    by_method = {
+        name: {
+            tuple(row[key] for key in keys): np.inf if np.isnan(row["parameter_error"])
+            else max(row["parameter_error"], floor)
+            for row in group.to_dict("records")
+        }
+        for name, group in kept.groupby("estimator")
+    }  # fmt: skip
+    for i, one in enumerate(ranking.method_names):
+        for j, other in enumerate(ranking.method_names):
+            a, b = by_method[one], by_method[other]
+            wins = [(a[k] < b[k]) + 0.5 * (a[k] == b[k]) for k in a if k in b]
+            assert ranking.win_rates[i, j] == pytest.approx(np.mean(wins))
+
+
+@pytest.mark.parametrize(("share", "is_copy"), [(0.9e-4, True), (1.1e-4, False), (-0.9e-4, True)])
+def test_answers_are_the_same_up_to_a_ten_thousandth(share: float, is_copy: bool) -> None:
+    cells = fabricate(robots=7)
+    copy = cells["estimator"] == "copy"
+    good = cells.loc[cells["estimator"] == "good", "torque_error"].to_numpy(dtype=float)
+    cells.loc[copy, "torque_error"] = good * (1 + share * np.linspace(0, 1, len(good)))
+    [ranking] = ranked(cells)
+    assert dict(ranking.same) == ({"copy": "good"} if is_copy else {})
+    first = cells.index[copy][0]
+    cells.loc[first, "status"] = "failed"  # copies fail alike
+    cells.loc[first, "torque_error"] = np.nan
+    [ranking] = ranked(cells)
+    assert not ranking.same
+
+
+def test_a_title_is_the_given_one_and_names_the_group() -> None:
+    cells, name = fabricate(robots=3), METRICS["torque_error"].title
+    assert [one.title for one in ranked(cells)] == [f"Methods by {name}"]
+    assert [one.title for one in ranked(cells, title="Mine")] == ["Mine"]
+    titles = [one.title for one in ranked(cells, title="Mine", apart=["plant"])]
+    assert titles == ["Mine: matched", "Mine: stribeck"]
+    assert [one.name for one in ranked(cells, apart=["plant"])] == ["r-matched", "r-stribeck"]
 
 
 # --- No ratio to a zero ---------------------------------------------------------------------------

@@ -206,6 +206,8 @@ def test_no_view_of_the_layout_reports_an_error(
 ) -> None:
     from rerun.experimental import ViewerClient
 
+    if not hasattr(ViewerClient, "open"):
+        pytest.skip("needs a newer rerun-sdk, whose viewer can be asked for what it shows")
     if not _has_vulkan():
         pytest.skip("no Vulkan driver is installed: the viewer cannot draw without a display")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))

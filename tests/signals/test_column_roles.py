@@ -1,10 +1,12 @@
 """Law of columns without names: in any order each block gets its role, or it is refused."""
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sysid_bench import init_log
@@ -167,3 +169,30 @@ def test_no_torque_of_a_known_robot_is_taken_for_a_current(data_folder: Path) ->
         assert said == "", file.name
         tried += 1
     assert tried >= 5
+
+
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("desired", [True, False])
+def test_gains_of_currents_are_those_of_the_controller(
+    desired: bool, named: bool, tmp_path: Path
+) -> None:
+    """The controller's own torques and currents state them; measured currents do not, even where
+    the model explains them: they carry a load that it lacks."""
+    robot = load_robot(replace(find_manifest("ur5"), joints={}))  # computed without friction
+    log = recorded(robot, period=8.0)
+    random = np.random.default_rng(3)
+    gains = random.uniform(6.0, 14.0, 6)
+    size = log.tau.std(axis=0)
+    wanted = (log.tau + 0.2 * size * np.tanh(log.v / 0.02)) / gains
+    measured = (1.3 * log.tau + 0.2 * size * np.tanh(log.v / 0.02)) / gains
+    measured += 0.05 * measured.std(axis=0) * random.standard_normal(log.q.shape)
+    blocks = {"timestamp": log.t[:, None], "actual_q": log.q, "actual_qd": log.v}
+    blocks |= {"actual_current": measured, "target_moment": log.tau}
+    blocks |= {"target_current": wanted} if desired else {}
+    names = ["timestamp", *(f"{b}_{j}" for b in list(blocks)[1:] for j in range(6))]
+    table = np.hstack(list(blocks.values()))
+    pd.DataFrame(table, columns=names).to_csv(tmp_path / "run.csv", header=named, index=False)
+    result = init_log(tmp_path / "run.csv", "ur5")
+    assert result.next.startswith("complete tau") != desired
+    found = tomllib.loads((tmp_path / "run.toml").read_text()).get("tau", {}).get("gain")
+    assert found == pytest.approx(gains, rel=0.01) if desired else found is None

@@ -1,4 +1,4 @@
-"""What all conformance kits share: laws, the loop over them and over cases, its findings, and the
+"""Common parts of conformance kits: laws, the loop over them and over cases, its findings, and the
 hash that detects a changed input."""
 
 import hashlib
@@ -55,7 +55,7 @@ class Law:
 
 @dataclass(frozen=True, eq=False)
 class KitCase:
-    """What a plug-in is checked on."""
+    """Case on which a plug-in is checked."""
 
     name: str
 
@@ -88,7 +88,7 @@ class Kit(Generic[C]):
         return ""
 
     def given(self) -> Any:
-        """What holds the arrays that the plug-in has to leave as they are."""
+        """Holder of the arrays that the plug-in has to leave unchanged."""
         return ()
 
     def findings(self) -> list[Finding]:

@@ -261,7 +261,7 @@ LARGEST_PEAK: Final = 3.0
 
 @dataclass(frozen=True)
 class JointLimits:
-    """What bounds a joint's effects: its `speed` (rad/s, m/s), the velocity limit or the largest
+    """Bounds of a joint's effects: its `speed` (rad/s, m/s), the velocity limit or the largest
     recorded one, and the largest recorded `torque` (N m, N), which neither friction nor low
     harmonics exceed."""
 

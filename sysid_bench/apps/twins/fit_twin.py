@@ -176,7 +176,7 @@ def plant_keys(
 def _harmonic_entries(
     sizes: Callable[[str], Array], of_gravity: Callable[[Array], Array]
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Whether there is any, and the entry of a plant, of the low harmonics of each order."""
+    """Presence and plant entry of the low harmonics of each order."""
     orders = dict.fromkeys(("first", "second", "third"), 0.0)
     for order, word in enumerate(orders, start=1):
         A, B = sizes(f"sin {order}"), sizes(f"cos {order}")

@@ -101,7 +101,7 @@ def _robot_text(baseline: Baseline, robot: str) -> str:
         parts["model"] = run.models[robot]
     if speeds := dict(_of_robot(run.speeds, robot)):
         parts["speeds"] = {
-            part: [_short(speed.ratio, 3), _short(speed.noise, 2), speed.count]
+            part: [_short(speed.ratio), _short(speed.noise), speed.count]
             for part, speed in speeds.items()
         }
     blocks = []
@@ -146,10 +146,10 @@ def _cell_json(baseline: Baseline, cell: CellValues) -> list[Any]:
 
 def _short(value: float, digits: int = _DIGITS) -> float | int | str:
     """`value` with some digits; infinities as texts, since JSON has none."""
+    text = f"{value:.{digits}g}"
     if not math.isfinite(value):
-        return str(value)
-    short = float(f"{value:.{digits}g}")
-    return int(short) if short.is_integer() and abs(short) < 1e9 else short
+        return text
+    return int(text) if text.removeprefix("-").isdigit() else float(text)
 
 
 def from_text(text: str, source: str) -> Baseline:

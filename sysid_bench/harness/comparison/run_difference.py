@@ -1,5 +1,6 @@
 """Changes between two runs: cells, values of metrics, true parameters, code and libraries."""
 
+import math
 from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain, product, starmap
@@ -214,7 +215,7 @@ def moved_values(
         pair = before.cells[cell].values[old], after.cells[cell].values[new]
         if None not in pair:
             a, b = (known[name].stored_value(float(value or 0.0)) for value in pair)
-            if not (a == b or abs(a - b) <= _EXACT * max(abs(a), abs(b))):
+            if not math.isclose(a, b, rel_tol=_EXACT):
                 moved.append(Change(cell, name, *pair, "changed", f"{_EXACT:g}"))
     return tuple(sorted(moved, key=lambda change: (before.label(change.cell), change.metric)))
 

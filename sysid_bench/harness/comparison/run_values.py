@@ -1,4 +1,4 @@
-"""What two runs are compared by: status and values of each cell, and true base parameters."""
+"""Quantities by which runs are compared: status and values of cells, true base parameters."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -187,19 +187,19 @@ class DefaultSettings(SuiteTable):
     """Sweeps: each key but `candidate` holds a tuple of values."""
 
     task: Sweep[Annotated[str, PlainValidator(check_task)]] = ("robot",)
-    """What is unknown: `sysid-bench list tasks`."""
+    """Unknown parameters: `sysid-bench list tasks`."""
     plant: Sweep[Named[Plant]] = Field(default=("matched",), validate_default=True)
-    """What moves: an effect, a realism level L0 to L4, a file of your own."""
+    """Simulated plant: an effect, a realism level L0 to L4, a file of your own."""
     terms: ListSweep[Terms] = (None,)
     """Joint terms that are identified; default: the robot's own."""
     prior: Sweep[PriorChoice] = (Prior(),)
-    """What methods are told of the parameters beforehand: a table, `truth` or `none`."""
+    """Prior knowledge of the parameters given to methods: a table, `truth` or `none`."""
     excitation: Sweep[Named[Excitation]] = Field(default=("fourier",), validate_default=True)
     """The training motion: `sysid-bench list excitations`."""
     motions: Sweep[Annotated[StrictInt, Field(ge=1, le=1000)]] = (1,)
     """Different training motions, recorded one after the other."""
     redrawn: ListOf[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))]] = ()
-    """What differs from repeat to repeat besides the noise."""
+    """Quantities drawn anew in each repeat besides the noise."""
     held_out: ListSweep[Annotated[tuple[Named[Excitation], ...], BeforeValidator(_motions)]] = (
         Field(default=(("fourier-other", "ptp"),), validate_default=True)
     )

@@ -1,5 +1,6 @@
 """Reading and writing of suite files; all mistakes are reported together."""
 
+import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from difflib import get_close_matches
@@ -12,11 +13,12 @@ from pydantic import BaseModel, ValidationError
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.intervals import LEVEL, confidence_level
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
+from sysid_bench.experiments.spec import SEEDS
 from sysid_bench.experiments.third_party import log_reader_names, manifest_terms, term_names
 from sysid_bench.harness.suite.checks import CheckInput, list_of
 from sysid_bench.harness.suite.log_entries import DATASET, with_dataset
 from sysid_bench.harness.suite.model import Origin, Suite
-from sysid_bench.harness.suite.names import Names, default_names, no_names
+from sysid_bench.harness.suite.names import Names, default_names, no_names, static_names
 from sysid_bench.harness.suite.plugin_entries import Plugin
 from sysid_bench.harness.suite.toml_text import Key, key_lines, toml_line, toml_text
 from sysid_bench.input_files import parse_toml, read_text
@@ -50,8 +52,9 @@ def parse_suite(
 ) -> Suite:
     """Read the suite of a TOML text; relative robots and plug-in files are found from `folder`.
 
-    A frozen suite states its folder in [origin]. `overrides` are `--set` pairs. Raises one
-    UsageError with lines `file:line: key: value, possible values`.
+    A frozen suite states its folder in [origin]. `overrides` are `--set` pairs. Without `names`,
+    plug-ins are imported here, or, where this process has secret seeds, their source is read.
+    Raises one UsageError with lines `file:line: key: value, possible values`.
     """
     data = _read(text, file)
     _check_kind(data, file)
@@ -64,7 +67,8 @@ def parse_suite(
         data["origin"] = {"folder": str(folder)}
     if confidence_level() != LEVEL:  # stated on the command line
         data["confidence"] = confidence_level()
-    return _validate(data, file, known_lines, names or default_names())
+    own = static_names() if os.environ.get(SEEDS) else default_names()
+    return _validate(data, file, known_lines, names or own)
 
 
 def parse_stored(text: str, file: str) -> Suite:

@@ -58,7 +58,7 @@ class Crosscheck(SuiteTable):
     on_fail: Annotated[
         str, choice_of("answer to a failed cross-check", ("skip-robot", "continue"))
     ] = "skip-robot"
-    """What happens to a robot beyond it."""
+    """Treatment of a robot beyond it."""
 
 
 class _Worst(SuiteTable):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CheckedName:
-    """What planning reads of a name that is looked up elsewhere, or was before."""
+    """Information that planning reads of a name that is looked up elsewhere, or was before."""
 
     name: str
     free_base: bool = False
@@ -155,7 +155,7 @@ def _definition(kind: str, use: str) -> ast.stmt | None:
     attribute = plugin_names.known(kind).get(use, use).rpartition(":")[2]
     file = plugin_names.source_file(kind, use)
     if file is None:
-        raise UsageError(f"There is no file of the {kind.replace('_', '-')} {use!r}.")
+        raise UsageError(f"The file of the {kind.replace('_', '-')} {use!r} does not exist.")
     if file.suffix != ".py":
         return None  # compiled
     try:

@@ -214,7 +214,7 @@ class Claim(SuiteTable):
     over: Annotated[str, choice_of("unit of replication", words.CLAIM_UNITS)] = "robot"
     gate: StrictBool = False  # `run --gate` ends with code 1 where it fails
     missing: StrictStr | None = None
-    """What the test needs and nothing here has: the claim is not testable."""
+    """Requirement of the test that nothing here meets: the claim is not testable."""
 
     @model_validator(mode="after")
     def _is_complete(self) -> "Claim":

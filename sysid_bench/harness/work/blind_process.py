@@ -23,15 +23,19 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.errors import reason_of
 from sysid_bench.experiments.blind_data import method_data
 from sysid_bench.experiments.job_channel import MethodEnd, ProcessEnd, peak_memory
 from sysid_bench.experiments.spec import SEEDS
 from sysid_bench.experiments.third_party import loaded_sources
-from sysid_bench.harness.work.confinement import hide_memory
+from sysid_bench.harness.work.confinement import (
+    hide_memory,
+    method_environment,
+    wanted_isolation,
+)
 from sysid_bench.harness.work.process_tree import (
-    MARK,
     child_of,
+    kill_group,
     kill_subtree,
     memory_use,
     tree_of,
@@ -45,15 +49,6 @@ try:
 except ImportError:  # Windows
     resource = None  # type: ignore[assignment]
 
-ISOLATION: Final = "SYSID_BENCH_ISOLATION"
-"""Environment variable: `process` runs methods without namespaces, as where the system has none."""
-
-_INHERITED: Final = (
-    "PATH", "PYTHONPATH", "VIRTUAL_ENV", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "SYSTEMROOT",
-    "LD_LIBRARY_PATH", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
-    "SYSID_BENCH_KERNEL", MARK,
-)  # fmt: skip
-"""What a method inherits of the environment: no file of seeds, no token of the user."""
 _LONGEST: Final = 1 << 26
 _POLL_SECONDS: Final = 0.1
 _CONFINEMENT: Final = 50_000_000
@@ -205,15 +200,14 @@ def blind_method(
     """
     hidden = [os.path.abspath(run_folder), os.environ.get(SEEDS, "")]
     with tempfile.TemporaryDirectory(prefix="sysid_method_", ignore_cleanup_errors=True) as folder:
-        environment = {key: os.environ[key] for key in _INHERITED if key in os.environ}
         hide_memory(True)  # until it is known that nobody can look
         try:
             process = subprocess.Popen(
-                [sys.executable, "-m", "sysid_bench.harness.work.blind_worker"],
+                [sys.executable, "-P", "-m", "sysid_bench.harness.work.blind_worker"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 cwd=folder,
-                env={**environment, "TMPDIR": folder, "HOME": folder},
+                env=method_environment(folder),
                 start_new_session=True,
             )
         except OSError as error:  # no process or descriptor is left on this machine
@@ -239,20 +233,12 @@ def blind_method(
             yield method
         finally:
             hide_memory(False)
-            process.kill()
+            kill_group(process)
             process.wait()
             kill_subtree()
             for pipe in (process.stdin, process.stdout):
                 with contextlib.suppress(OSError):
                     pipe and pipe.close()
-
-
-def wanted_isolation() -> str:
-    """Return the isolation that ISOLATION names; raises UsageError for another word."""
-    wanted = os.environ.get(ISOLATION) or NAMESPACES
-    if wanted not in (NAMESPACES, PROCESS):
-        raise UsageError(f"{ISOLATION} is {wanted!r}; give {NAMESPACES} or {PROCESS}.")
-    return wanted
 
 
 def _free_memory() -> int | None:

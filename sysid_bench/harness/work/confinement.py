@@ -12,12 +12,23 @@ import ctypes
 import os
 import signal
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NoReturn
 
-from sysid_bench.harness.work.process_tree import kill_with
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.work.process_tree import MARK, kill_with
 from sysid_bench.words import NAMESPACES, PROCESS
+
+ISOLATION: Final = "SYSID_BENCH_ISOLATION"
+"""Environment variable: `process` runs methods without namespaces, as where the system has none."""
+
+_INHERITED: Final = (
+    "PATH", "PYTHONPATH", "VIRTUAL_ENV", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "SYSTEMROOT",
+    "LD_LIBRARY_PATH", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
+    "SYSID_BENCH_KERNEL", MARK,
+)  # fmt: skip
+"""What a method inherits of the environment: no file of seeds, no token of the user."""
 
 _NEW_MOUNTS, _NEW_IPC, _NEW_USER = 0x00020000, 0x08000000, 0x10000000
 _NEW_PROCESSES, _NEW_NETWORK = 0x20000000, 0x40000000
@@ -29,6 +40,29 @@ _DESCRIPTORS: Final = 256
 """More than a process has that was just started."""
 _CAPABILITIES: Final = 64
 _CAPABILITY_VERSION: Final = 0x20080522
+_SHARED: Final = "/dev/shm"
+"""Memory that processes share by name: empty, and of the namespace alone."""
+_entered = False
+
+
+def wanted_isolation() -> str:
+    """Return the isolation that ISOLATION names; raises UsageError for another word."""
+    wanted = os.environ.get(ISOLATION) or NAMESPACES
+    if wanted not in (NAMESPACES, PROCESS):
+        raise UsageError(f"{ISOLATION} is {wanted!r}; give {NAMESPACES} or {PROCESS}.")
+    return wanted
+
+
+def method_environment(folder: str, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """What a process with code of others is given of an environment, and `folder`, where it can
+    write."""
+    kept = {key: environment[key] for key in _INHERITED if key in environment}
+    return {**kept, "TMPDIR": folder, "HOME": folder}
+
+
+def is_confined() -> bool:
+    """True where `confine` gave this process namespaces of its own."""
+    return _entered
 
 
 def confine(folder: str, hidden: Iterable[str], wanted: str = NAMESPACES) -> str:
@@ -42,14 +76,25 @@ def confine(folder: str, hidden: Iterable[str], wanted: str = NAMESPACES) -> str
         return PROCESS
     kill_with(os.getppid())
     libc = ctypes.CDLL(None, use_errno=True)
-    isolation = PROCESS
-    paths = tuple(filter(os.path.exists, hidden))
+    global _entered
+    paths = tuple(filter(os.path.exists, {*hidden, *_sockets(), "/dev/pts"}))
     if wanted == NAMESPACES and _can_enter(libc, folder, paths):
         _enter_namespaces(libc, folder, paths)
         _fork_inside(libc)
-        isolation = NAMESPACES
+        _entered = True
     _drop_capabilities(libc)
-    return isolation
+    return NAMESPACES if _entered else PROCESS
+
+
+def _sockets() -> Iterator[str]:
+    """Yield the sockets in files: they lead out of every namespace, to programs as tmux, docker and
+    systemd that start others."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/net/unix").read_text().splitlines()[1:]:
+            yield line[max(0, line.find("/")) :]
+    # Those of the host, which a container may be given in /run, are of another network namespace.
+    with contextlib.suppress(OSError), os.scandir("/run") as entries:
+        yield from (one.path for one in entries if one.name.endswith(".sock"))
 
 
 def hide_memory(hidden: bool) -> None:
@@ -88,11 +133,16 @@ def _enter_namespaces(libc: ctypes.CDLL, folder: str, hidden: Sequence[str]) -> 
     for path in hidden:
         if os.path.isdir(path):
             _mount(libc, "none", path, "tmpfs", _NO_DEVICES_OR_PROGRAMS)
-        else:
+            continue
+        with contextlib.suppress(FileNotFoundError):  # a socket that is gone
             _mount(libc, "/dev/null", path, None, _BIND)
+    own = [path for path in (_SHARED,) if os.path.isdir(path)]
+    for path in own:
+        _mount(libc, "none", path, "tmpfs", _NO_DEVICES_OR_PROGRAMS, "size=1g")
     _mount(libc, folder, folder, None, _BIND)
     _set_read_only(libc, "/", read_only=True)
-    _set_read_only(libc, folder, read_only=False)
+    for path in (folder, *own):
+        _set_read_only(libc, path, read_only=False)
     os.chdir(folder)  # that of the new mount
 
 
@@ -105,10 +155,15 @@ def _set_read_only(libc: ctypes.CDLL, path: str, *, read_only: bool) -> None:
 
 
 def _mount(
-    libc: ctypes.CDLL, source: str | None, target: str, kind: str | None, flags: int
+    libc: ctypes.CDLL,
+    source: str | None,
+    target: str,
+    kind: str | None,
+    flags: int,
+    data: str | None = None,
 ) -> None:
-    texts = [None if text is None else os.fsencode(text) for text in (source, target, kind)]
-    if libc.mount(*texts, ctypes.c_ulong(flags), None) != 0:
+    texts = [None if text is None else os.fsencode(text) for text in (source, target, kind, data)]
+    if libc.mount(*texts[:3], ctypes.c_ulong(flags), texts[3]) != 0:
         raise OSError(ctypes.get_errno(), f"mount of {target}")
 
 

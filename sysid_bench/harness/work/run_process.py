@@ -23,7 +23,8 @@ from sysid_bench.words import STATUSES
 
 Message = dict[str, Any]
 Send = Callable[[Message], None]
-CAN_FORK: Final = hasattr(os, "fork") and hasattr(select, "poll")
+CAN_FORK: Final = sys.platform == "linux"
+"""Not on macOS, whose frameworks do not survive a fork and which ends no fork with its parent."""
 _GRACE_SECONDS = 2.0
 _LONGEST = 1 << 26
 """Bytes of a message; a plug-in that writes more without a line end is not heard any more."""

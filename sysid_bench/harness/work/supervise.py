@@ -29,7 +29,7 @@ OnEvent = Callable[[str, Mapping[str, Any]], None]
 ("task", {worker, cells}) when a job has ended."""
 
 Ending = Literal["finished", "stopped", "interrupted", "lost"]
-"""How a run ended; "lost": the machines that compute are gone."""
+"""End of a run; "lost": the machines that compute are gone."""
 _POLL_SECONDS = 0.5
 """A dead worker whose pipe a grandchild keeps open is seen after this time, and so is memory."""
 

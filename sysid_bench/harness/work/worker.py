@@ -1,8 +1,8 @@
 """Worker process, `python -m sysid_bench.harness.work.worker`, with JSON lines in both directions.
 
-In: settings {parent, path, rows, memory}, then jobs {number, call, argument, cells, losses}; null
-ends the worker. Out, each with the number of its job: {begin}, {cell: id} before a cell,
-{row: id, status, reason}, {progress: value}, and at the end {done: value},
+In: settings {parent, path, rows, memory, confined}, then jobs {number, call, argument, cells,
+losses}; null ends the worker. Out, each with the number of its job: {begin}, {cell: id} before a
+cell, {row: id, status, reason}, {progress: value}, and at the end {done: value},
 {failed: reason, status, traceback}, {dead: reason, status}, or {full: reason} where a row cannot be
 stored; with {left: true} third-party code has run in this process, which ends then. A row is stored
 before it is announced, so that it survives the supervisor. The worker ends at once when its input
@@ -29,6 +29,7 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError, reason_of, status_of
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd, Method, ProcessEnd
 from sysid_bench.harness.work.blind_process import blind_method
+from sysid_bench.harness.work.confinement import confine
 from sysid_bench.harness.work.process_tree import start_process
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.harness.work.run_process import CAN_FORK, Message, Send, run_process
@@ -68,6 +69,8 @@ def main() -> None:
         return
     # Before the first thread: a fork goes on with the calling thread alone.
     start_process(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
+    if settings.get("confined"):
+        confine(*settings["confined"])
     if settings["memory"] is not None and resource is not None:
         # Allocations beyond the limit raise MemoryError, in this process and its forks.
         limit = int(settings["memory"])

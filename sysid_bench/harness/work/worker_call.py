@@ -38,12 +38,14 @@ class CallWorker:
     a call that has ended it. `timeout` (s) holds for each call, its start-up apart.
 
     An interrupt ends the worker, or with `interrupt_timeout` (s) interrupts the function, which may
-    return a value within this time; a second one ends the worker.
+    return a value within this time; a second one ends the worker. A worker that `is_confined` has
+    the environment, the files and the namespaces of a third-party method.
     """
 
     timeout: float
     memory: float | None = MEMORY
     interrupt_timeout: float = 0.0
+    is_confined: bool = False
     output: str = field(default="", init=False)  # that a worker had printed when it ended
 
     def __post_init__(self) -> None:
@@ -75,7 +77,9 @@ class CallWorker:
         # On the first call: a suite without third-party names starts no process.
         if self._worker is None:
             folder = Path(self._folder.name)
-            settings = WorkerSettings(folder, self.timeout, threads=1, memory=self.memory)
+            settings = WorkerSettings(
+                folder, self.timeout, 1, memory=self.memory, is_confined=self.is_confined
+            )
             self._worker = Worker("worker1", settings, self._inbox)
         self._worker.start_job(Job(function, argument, cells=()))
         try:

@@ -17,7 +17,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.harness.work.process_tree import MARK, kill_tree, memory_use, tree_of
+from sysid_bench.experiments.spec import SEEDS
+from sysid_bench.harness.work.confinement import method_environment, wanted_isolation
+from sysid_bench.harness.work.process_tree import MARK, kill_group, kill_tree, memory_use, tree_of
 from sysid_bench.harness.work.row_files import new_row_file, stored_rows
 from sysid_bench.harness.work.run_process import end_of_process
 from sysid_bench.types import Row
@@ -106,6 +108,7 @@ class WorkerSettings:
     keep_open: tuple[int, ...] = ()
     memory: float | None = None  # bytes of a worker and of all that it starts
     start_timeout: float = 120.0  # s, for the start of a worker, where that is above `timeout`
+    is_confined: bool = False  # as a method is (see confinement.py), with `folder` to write to
 
 
 @dataclass(eq=False)
@@ -133,17 +136,19 @@ class Worker:
         self._log_start = 0
         # A mark and a temporary folder of its own find, at the end, what third-party code has left.
         self._mark = uuid.uuid4().hex
-        self._scratch = tempfile.mkdtemp(prefix="sysid_bench_")
+        own = str(self.settings.folder) if self.settings.is_confined else None
+        self._scratch = tempfile.mkdtemp(prefix="sysid_bench_", dir=own)
+        environment = worker_environment(self.settings.threads)
         self._outbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
         # A new interpreter, not a fork, which would copy locks of the supervisor's threads; and not
         # multiprocessing's spawn, which needs a __main__ guard in the script of the caller.
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "sysid_bench.harness.work.worker"],
+            [sys.executable, "-P", "-m", "sysid_bench.harness.work.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env={
-                **worker_environment(self.settings.threads),
+                **(method_environment(self._scratch, environment) if own else environment),
                 MARK: self._mark,
                 "TMPDIR": self._scratch,
             },
@@ -161,6 +166,7 @@ class Worker:
                 "path": [entry or os.getcwd() for entry in sys.path],
                 "rows": str(self.rows_file),
                 "memory": self.settings.memory,
+                "confined": own and [own, [os.environ.get(SEEDS, "")], wanted_isolation()],
             }
         )
 
@@ -241,11 +247,7 @@ class Worker:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.terminate()  # its guard ends all that it has started
             self.process.wait(timeout=_GUARD_SECONDS)
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            if hasattr(os, "killpg"):
-                os.killpg(self.process.pid, signal.SIGKILL)
-            else:
-                self.process.kill()
+        kill_group(self.process)
         self.process.wait()
         kill_tree(self._mark, below)
         if self.process.stdin is not None:

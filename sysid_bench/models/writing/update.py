@@ -120,10 +120,8 @@ def _terms(name: str, values: Mapping[str, float]) -> dict[str, float]:
     return {key: float(value) for key, value in values.items()}
 
 
-_EXACT_AXES: Final = tuple(map(int, mujoco.__version__.split(".")[:2])) >= (3, 14)
-PARAMETERS, TORQUES = (1e-12, 1e-11) if _EXACT_AXES else (1e-6, 1e-6)
-"""Largest relative errors of a written model when it is read again. Before 3.14 MuJoCo finds the
-principal axes of an inertia to 1e-7 only (measured with 3.11)."""
+PARAMETERS, TORQUES = 1e-12, 1e-11
+"""Largest relative errors of a written model when it is read again."""
 
 SAME_FRAME: Final = 1e-6
 """m, rad: inertial frames nearer to that of their body MuJoCo takes for it."""

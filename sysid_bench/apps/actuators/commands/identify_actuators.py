@@ -242,7 +242,7 @@ class _DriveErrors:
 
     @cached_property
     def baselines(self) -> Baselines:
-        """What an answer has to be better than: of positions, or of torques where none are
+        """Baselines that an answer has to beat: of positions, or of torques where none are
         simulated."""
         if self.position_errors:
             return position_baselines(list(self.position_errors), self.found)

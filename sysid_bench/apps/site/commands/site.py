@@ -43,7 +43,7 @@ _SCHEMA: Final = 1
 _OWN: Final = ("suites", "robots", "methods")
 """Folders of a site, which are made anew."""
 _FILES: Final = ("run.toml", "plan.jsonl", "env.json", "cells")
-"""What is read of a submission, besides the files that its suite names: tables and data frames are
+"""Files read of a submission, besides the files that its suite names: tables and data frames are
 made from the rows again."""
 _OF_MACHINES: Final = ("timeout", "memory", "crash", "lost")
 """Statuses that another machine need not reproduce; rankings count them as failures."""
@@ -83,7 +83,7 @@ class Site(Request["SiteResult"]):
         an `out` with other files.
         """
         from sysid_bench.apps.site.site_pages import LEADERBOARD, site_pages
-        from sysid_bench.commands.run_folder import open_run, stale_sentence, write_whole
+        from sysid_bench.commands.run_folder import open_run, row_notes, write_whole
 
         out = None if self.out is None else Path(self.out)
         self._check(out)
@@ -91,7 +91,8 @@ class Site(Request["SiteResult"]):
         for folder in self.runs:
             run = open_run(folder)
             shown = _site_run(run, Path(folder).resolve().name)
-            read.append(replace(shown, notes=tuple(filter(None, [stale_sentence(run)]))))
+            notes = tuple(filter(None, [row_notes(run)]))
+            read.append(replace(shown, notes=notes, submission=read_submission(Path(folder))))
         checks = tuple(
             check_submission(one, self.seed, self.share, self.jobs, self.on_event)
             for one in self.submissions
@@ -173,8 +174,11 @@ class SiteResult(Result):
 class CheckResult(Result):
     """Check of a submission: `cells` of the `drawable` ones, drawn with `seed`, were run again;
     `different` are the values that came out otherwise; `planned` the cells whose id or labels are
-    not those of the suite; `changed` the rows (file:line) that were changed after they were
-    written, and env.json where its digest is of other rows; `digest`: the SHA-256 of all rows."""
+    not those of the suite, all where it cannot be planned (`reason`); `changed` the rows
+    (file:line) that were changed after they were written, and env.json where its digest is of other
+    rows; `beside` the plug-ins that are not methods, which see the truth, and `beside_cells` the
+    cells that they run in; `elsewhere` the cells whose rows are of other versions than env.json
+    states; `digest`: the SHA-256 of all rows."""
 
     folder: str
     seed: int
@@ -182,13 +186,18 @@ class CheckResult(Result):
     cells: list[str]
     different: list[dict[str, Any]]
     planned: list[str]
+    reason: str
     changed: list[str]
+    beside: list[str]
+    beside_cells: list[str]
+    elsewhere: list[str]
     digest: str
 
     @property
     def ok(self) -> bool:
         """True where nothing differs."""
-        return not (self.different or self.planned or self.changed)
+        found = self.different, self.planned, self.changed, self.beside, self.elsewhere
+        return not any(found)
 
     @property
     def share(self) -> "RepeatShare":
@@ -208,7 +217,18 @@ class CheckResult(Result):
         if self.changed:
             lines.append(f"rows changed after they were written: {first_names(self.changed)}")
         if self.planned:
-            lines.append(f"cells that are not those of the suite: {first_names(self.planned)}")
+            why = f" ({self.reason})" if self.reason else ""
+            names = first_names(self.planned)
+            lines.append(f"cells that are not those of the suite{why}: {names}")
+        if self.beside:
+            lines.append(
+                f"code of others that is not a method, and would see the truth: "
+                f"{first_names(self.beside)}; in the cells {first_names(self.beside_cells)}"
+            )
+        if self.elsewhere:
+            lines.append(
+                f"rows of other versions than env.json states: {first_names(self.elsewhere)}"
+            )
         lines += (
             f"{one['id']}  {one['metric']}: submitted {one['submitted']}, computed "
             f"{one['computed']}"
@@ -228,12 +248,13 @@ class CheckResult(Result):
 
 
 def _submitted_run(check: CheckResult) -> "SiteRun":
+    from sysid_bench.apps.site.suite_version import Submission
+
     folder = Path(check.folder)
     with without_frames(folder) as rows:
-        facts = read_submission(folder)
-        return replace(
-            _site_run(rows, folder.resolve().name), submission=facts, checked=check.share
-        )
+        facts = read_submission(folder) or Submission()
+        shown = _site_run(rows, folder.resolve().name)
+        return replace(shown, submission=facts, checked=check.share)
 
 
 def _site_run(run: "RunFolder", name: str) -> "SiteRun":
@@ -279,14 +300,14 @@ def random_cells(ids: list[str], share: float, seed: int) -> list[str]:
     return order[: math.ceil(share * len(ids))]
 
 
-def read_submission(folder: Path) -> "Submission":
-    """Return the content of submission.toml; empty where there is none. Raises UsageError for
+def read_submission(folder: Path) -> "Submission | None":
+    """Return the content of submission.toml; None where there is none. Raises UsageError for
     unknown keys and for values that are not texts."""
     from sysid_bench.apps.site.suite_version import Submission
 
     file = folder / FACTS
     if not is_file(file):
-        return Submission()
+        return None
     try:
         data = parse_toml(read_text(file))
     except (OSError, ValueError) as error:
@@ -296,7 +317,7 @@ def read_submission(folder: Path) -> "Submission":
     known = tuple(Submission.__dataclass_fields__)
     for key, value in data.items():
         if key not in known:
-            raise unknown_name("key of a submission", key, known)
+            raise UsageError(f"{str(file)!r}: {unknown_name('key of a submission', key, known)}")
         if not isinstance(value, str):
             raise UsageError(f"{str(file)!r}: {key} is a text; got {value!r}.")
     if (url := data.get("url", "")) and not url.startswith("https://"):
@@ -336,8 +357,9 @@ def check_submission(
     is made again from its suite. `seed` decides the draw; by default it is drawn, too, so that who
     submits cannot know it.
 
-    Estimators of the submission run as its suite names them: third-party code. Raises UsageError
-    for a folder that is not a run, without rows, or whose suite names files that are not there.
+    Estimators of the submission run as its suite names them, blind; other code of it does not run.
+    Raises UsageError for a folder that is not a run, without rows, whose suite names files that are
+    not there, on the path of Python, and for cells of sealed plants without their seed.
     """
     from sysid_bench.commands.run_folder import no_rows, open_run
     from sysid_bench.harness.suite.model import Origin
@@ -347,6 +369,8 @@ def check_submission(
         raise UsageError(f"The share is {share:g}; give a part of the cells, above 0 and up to 1.")
     # Not from `random`, whose next numbers follow from earlier ones.
     chosen = secrets.randbelow(2**32) if seed is None else seed
+    open_run(folder).check_path()
+    read_submission(Path(folder))  # before cells run
     with without_frames(Path(folder)) as run:
         rows = run.rows()
         if not rows.rows:
@@ -359,14 +383,21 @@ def check_submission(
         robots = str(here / "robots") if (here / "robots").is_dir() else None
         origin = Origin(folder=str(here), robots=robots)
         suite = run.suite.model_copy(update={"origin": origin})
-        planned, known = _not_of_the_suite(run, suite), run.planned_fields
+        beside, beside_cells = _beside_methods(run, suite)
+        known, reason = run.planned_fields, ""
+        try:
+            planned = _not_of_the_suite(run, suite)
+        except UsageError as error:  # as of a robot that is another one than its name says
+            planned, reason = [*known], str(error)
+        versions = [one.get("versions") for one in run.machines]
         ids = sorted(
             name
             for name, row in rows.rows.items()
             if name in known and row["status"] not in _OF_MACHINES
         )
         # Cells of another plan need no run to be refused, and their code is not executed.
-        drawn = [] if planned else random_cells(ids, share, chosen)
+        drawn = [] if planned or beside else random_cells(ids, share, chosen)
+        _check_seeds(run, {name for name in drawn if rows.rows[name]["status"] != "failed"})
         different = _differences(run, suite, drawn, jobs, on_event) if drawn else []
     return CheckResult(
         folder=str(folder),
@@ -375,9 +406,43 @@ def check_submission(
         cells=drawn,
         different=different,
         planned=planned,
+        reason=reason,
         changed=changed,
+        beside=beside,
+        beside_cells=beside_cells,
+        elsewhere=[name for name, row in rows.rows.items() if row.get("versions") not in versions],
         digest=digest,
     )
+
+
+def _check_seeds(run: "RunFolder", cells: set[str]) -> None:
+    """Raise UsageError for cells of sealed plants whose seed is not here: without it they fail."""
+    from sysid_bench.experiments.spec import SEALED, SEEDS, seed_of_hash
+
+    sealed = {c.id: c.spec.plant[SEALED] for c in run.plan.cells if c.spec.plant.get(SEALED)}
+    try:
+        for seal in {sealed[name] for name in cells & sealed.keys()}:
+            seed_of_hash(str(seal))
+    except UsageError as error:
+        raise UsageError(
+            f"{len(cells & sealed.keys())} cells of the draw are of a sealed plant and cannot be "
+            f"run again without its seed: {SEEDS}=FILE sysid-bench site --check ... ({error})"
+        ) from error
+
+
+def _beside_methods(run: "RunFolder", suite: "Suite") -> tuple[list[str], list[str]]:
+    """Third-party plug-ins that are not methods ("metric file:own.py:Own"), and the cells of
+    experiments in which they run."""
+    from sysid_bench.harness.run import job_of
+    from sysid_bench.harness.suite.load_suite import third_party_names
+
+    names = third_party_names(suite, suite.robots_folder)
+    named = [f"{kind} {name}" for kind, name in names if kind != "estimator"]
+    cells = []
+    for cell in run.plan.cells:
+        code = job_of([cell], suite, suite.robots_folder)["third_party"]
+        cells += [cell.id] if code["data"] or code["metrics"] else []
+    return named or ["of plan.jsonl alone"][: len(cells)], cells
 
 
 def _not_of_the_suite(run: "RunFolder", suite: "Suite") -> list[str]:

@@ -51,7 +51,7 @@ def _answer(file: Path, samples: int, assets: Path) -> Row:
 
 
 def _degrees_of_freedom(engine: str, file: Path) -> int | str:
-    """What an engine reads of the file, or its error."""
+    """Model that an engine reads of the file, or its error."""
     try:
         # A singular mass matrix at the reference is not an error by itself: recorded, not printed.
         with recorded_warnings():

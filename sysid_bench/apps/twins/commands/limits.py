@@ -105,7 +105,7 @@ def _least(cells: "pd.DataFrame", estimator: str) -> float | None:
 
 
 def _places(suite: "Suite") -> dict[str, str]:
-    """Where the data set of each robot of a run is: its name, or its description."""
+    """Data set of each robot of a run: its name, or its description."""
     from sysid_bench.models.data_sets import SCHEME, find_dataset
 
     folder = None if suite.folder is None else Path(suite.folder)
