@@ -4,7 +4,7 @@
 
 Every mistake is planted in recordings, with and without a tool that the model does not know, and
 diagnosed; the cost is the raise of the error of a plain fit on other motions. A mistake that was
-not named is not decidable where a robot near its model file (bodies within their spreads, any
+silent is not decidable where a robot near its model file (bodies within their spreads, any
 friction, with a load or without) fits the faulty recording as well as the right one, at odds below
 4 to 1: wrists whose torque is friction, uncertain masses, axes that gravity does not load.
 Recordings whose data set states a contradiction are counted apart. NAME: a part of the
@@ -130,9 +130,9 @@ class Bench:
             faulty = evidence(planted, robot)
         except UsageError as error:
             text = str(error)
-            named = any(word in text for word in (*mistake.expected, "stamp", "gap"))
+            is_named = any(word in text for word in (*mistake.expected, "stamp", "gap"))
             found = ("error unreadable",)
-            return Case(*start, np.inf, found, named, True, (), text, mistake.is_harmless)
+            return Case(*start, np.inf, found, is_named, True, (), text, mistake.is_harmless)
         tests = tuple(replace(test, robot=robot) for test in self.tests)
         raised = plain_error(faulty, tests) - self.error
         known = {(f.name, f.joints) for f in self.findings}
@@ -140,14 +140,14 @@ class Bench:
         # No gain is right for the model of another robot, and none is absurd.
         cure = _right_gains(one.training.tau, planted.tau) if mistake.robot is None else None
         likely = _as_likely(new[0]) if new else []
-        named = [name in mistake.expected and (not joint or not js or joint in js)
-                 for name, js in likely]  # fmt: skip
+        hits = [name in mistake.expected and (not joint or not js or joint in js)
+                for name, js in likely]  # fmt: skip
         return Case(
-            *start, raised, tuple(f"{f.severity} {f.name}" for f in new), any(named),
+            *start, raised, tuple(f"{f.severity} {f.name}" for f in new), any(hits),
             any(f.is_error for f in new), () if cure is None else tuple(_absurd(new, cure)),
             new[0].message if new else "", mistake.is_harmless,
-            undecidable=not any(named) and _is_undecidable(self.clean, faulty),
-            shared=any(named) and not named[0],
+            undecidable=not new and _is_undecidable(self.clean, faulty),
+            shared=any(hits) and not hits[0],
         )  # fmt: skip
 
 
@@ -279,13 +279,13 @@ def main(show_cases: bool, every: int, start: int, names: Sequence[str]) -> None
             if show_cases:
                 print(line(case), flush=True)
     print(f"\nRecordings without a mistake that are refused: {'; '.join(refused) or 'none'}\n")
-    accepted = [case for case in cases if case.recording in apart]
+    of_accepted = [case for case in cases if case.recording in apart]
     cases = [case for case in cases if case.recording not in apart]
     print(table(cases, lambda case: case.recording, "recording"), "\n")
     print(table(cases, lambda case: case.mistake, "mistake"))
-    if accepted:
+    if of_accepted:
         print("\nRecordings that contradict their model themselves, as their data set states:\n")
-        print(table(accepted, lambda case: case.recording, "recording"))
+        print(table(of_accepted, lambda case: case.recording, "recording"))
 
 
 if __name__ == "__main__":

@@ -287,7 +287,8 @@ class DiagnoseInput:
         T = T if more is None else np.concatenate([T, more], axis=2)
         std = self.link_std * spread
         known, seconds = self.file_parameters.ravel(), len(self.log.recording) / self.rate
-        return near.near_model(W, terms(motion), T, known, std, self.holding, seconds)
+        F, held = terms(motion), self.holding
+        return near.near_model(W, F, T, known, std, holding=held, seconds=seconds)
 
     @cached_property
     def near_model(self) -> NearModel:

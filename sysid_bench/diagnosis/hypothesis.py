@@ -164,10 +164,10 @@ def joint_factors(n: int, joints: Sequence[int], factor: float) -> Array:
     return factors
 
 
-def gain_edit(evidence: DiagnoseInput, factors: Array, half: float) -> str:
+def gain_edit(evidence: DiagnoseInput, factors: Array, half: float, is_sure: bool = True) -> str:
     """Return the edit of the gains, times factors (n,) of which the logarithm is known to `half`;
-    without numbers where these are not known well enough to be written into a description."""
-    if half <= SHARP:
+    without numbers where these are not sure enough to be written into a description."""
+    if is_sure and half <= SHARP:
         return setting_edit(evidence, "tau", "gain", factors)
     wrong = factors != 1.0
     size = float(np.exp(np.median(np.log(factors[wrong]))))

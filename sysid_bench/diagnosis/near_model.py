@@ -210,7 +210,7 @@ def _weights(square: Array) -> Array:
 
 
 def near_model(
-    W: Array, F: Array, T: Array, known: Array, scale: Array, holding: Array, seconds: float
+    W: Array, F: Array, T: Array, known: Array, scale: Array, *, holding: Array, seconds: float
 ) -> NearModel:
     """Normal equations of the link columns W (N, n, p), the terms F (N, n, 4) and the torques
     T (N, n, k), of which the first n are the recorded ones, with the file's parameters `known` (p,)
@@ -229,4 +229,7 @@ def near_model(
     B = np.zeros((size, r + m + 1 + size - p - m))
     B[:p, :r], B[:p, r + m] = basis, known / scale
     B[p : p + m, r : r + m], B[p + m :, r + m + 1 :] = np.eye(m), np.eye(size - p - m)
-    return NearModel(B.T @ P @ B, basis, scale, known, values[kept], holding, min(PARTS, seconds))
+    return NearModel(
+        B.T @ P @ B, basis, scale, known,
+        information=values[kept], holding=holding, parts=min(PARTS, seconds),
+    )  # fmt: skip

@@ -159,10 +159,12 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
     interval = float(size * np.exp(-half)), float(size * np.exp(half))
     estimate = f"{size:.3g} times too {'small' if factor > 1 else 'large'}"
     between = f"{level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}]"
+    # A doubt about the model file as well is no number to write into a description.
+    sure = interval[0] >= (SAME if is_common else SMALLEST)
+    factors = joint_factors(e.count, joints, factor)
     yield Candidate(
         "gain", joints, found, f"the torque of {names} is about {estimate} ({between}): {cause}",
-        gain_edit(e, joint_factors(e.count, joints, factor), half), BLIND_GAIN,
-        most=ERROR if interval[0] >= (SAME if is_common else SMALLEST) else WARNING,
+        gain_edit(e, factors, half, sure), BLIND_GAIN, most=ERROR if sure else WARNING,
         estimate=estimate, interval=interval,
         # Links without mass fit small torques as well, at no cost but the prior's.
         is_gross=is_common and interval[0] > GROSS and e.placeholder == "",
