@@ -167,16 +167,19 @@ def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
     certain = all(one.most == ERROR for one in (best, *likely))
     large = best.is_gross or best.removed(before) >= LARGE
     sure = best.evidence(before) - best.ahead >= SURE and large
+    severity = ERROR if certain and sure else WARNING if best.most == ERROR else best.most
     others = "".join(f" (or, as likely: {one.message})" for one in likely)
     return Finding(
         name=best.name,
-        severity=ERROR if certain and sure else WARNING if best.most == ERROR else best.most,
+        severity=severity,
         message=best.message + others,
         joints=tuple(before.evidence.joints[j] for j in best.joints),
         explains=round(best.share(before), 3),
         confidence=round(1.0 / (1 + len(likely) + np.exp(-0.5 * best.evidence(before))), 2),
         blind=best.blind,
-        edit="; or, whichever is true: ".join(one.edit for one in (best, *likely)),
+        edit="; or, whichever is true: ".join(
+            one.edit if severity == ERROR else one.doubt or one.edit for one in (best, *likely)
+        ),
         alternatives=tuple(one.alternative(before) for one in kinds),
         as_likely=tuple(one.name for one in likely),
     )

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.hypothesis import NORMAL, Candidate, Hypothesis, gain_edit
+from sysid_bench.diagnosis.hypothesis import NORMAL, Candidate, Hypothesis, gain_edits
 from sysid_bench.diagnosis.near_model import PENALTY
 from sysid_bench.types import Array
 
@@ -60,7 +60,7 @@ def joint_gains(before: Hypothesis) -> Iterator[Candidate]:
     else:
         logs = np.where(wrong, middle if is_common else logs, 0.0)
     gains, half = np.exp(logs), NORMAL * float(deviation[wrong].max())
-    cured, edit = before.with_torque(np.diag(gains)), gain_edit(e, gains, half)
+    cured, (edit, doubt) = before.with_torque(np.diag(gains)), gain_edits(e, gains, half)
     joints = tuple(range(e.count)) if is_current else tuple(np.flatnonzero(wrong).tolist())
     if is_current:
         listed = ", ".join(f"{e.joints[j]} {gains[j]:.3g}" for j in np.flatnonzero(wrong))
@@ -68,7 +68,7 @@ def joint_gains(before: Hypothesis) -> Iterator[Candidate]:
             "current", joints, cured,
             f"torques are off by a factor of their own in each joint ({listed}): currents?",
             f'{edit}, and unit = "A" where these are currents', BLIND,
-            unknowns=float(e.count),
+            unknowns=float(e.count), doubt=doubt,
         )  # fmt: skip
         return
     parts, size = _by_factor(before, gains, joints, is_common), float(np.exp(abs(middle)))
@@ -76,7 +76,7 @@ def joint_gains(before: Hypothesis) -> Iterator[Candidate]:
     close = NORMAL / float(np.sqrt((deviation[wrong] ** -2).sum()))
     yield Candidate(
         "gain", joints, cured, f"{parts}: a gear or a drive constant", edit, BLIND,
-        unknowns=1.0 if is_common else float(len(joints)),
+        unknowns=1.0 if is_common else float(len(joints)), doubt=doubt,
         estimate=f"{size:.3g} times too {'small' if middle > 0 else 'large'}" if is_common else "",
         interval=(size * np.exp(-close), size * np.exp(close)) if is_common else None,
     )  # fmt: skip
@@ -130,15 +130,12 @@ def _deviations(before: Hypothesis, links: Array, slope: Array, used: Array) -> 
     """Standard deviations (k,) of the logarithms of the used joints' gains, at a mean squared
     relative residual of 1; residuals of a joint count as one independent number."""
     model = before.model
-    r, k = model.rank, len(used)
+    r, k, scale = model.rank, len(used), model.torque_scale(before.mixing)
     H = np.zeros((r + k, r + k))
     H[:r, :r] = PENALTY**2 * np.eye(r)
     for i, j in enumerate(used.tolist()):
         G = _without_terms(before, j, links)
-        total = (
-            before.mixing[:, j] @ model.products[j][-len(before.mixing) :, -len(before.mixing) :]
-        )
-        weight = slope[j] ** 2 / max(float(total @ before.mixing[:, j]), 1e-300)
+        weight = slope[j] ** 2 * scale[j]
         H[:r, :r] += weight * G[:r, :r]
         H[:r, r + i] = H[r + i, :r] = weight * G[:r, r]
         H[r + i, r + i] = weight * G[r, r]

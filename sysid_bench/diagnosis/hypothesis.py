@@ -107,6 +107,7 @@ class Candidate:
     unknowns: float | None = None
     choices: int = 1
     along: tuple[float, float, Callable[[float], Hypothesis]] | None = None
+    doubt: str = ""  # the edit of a candidate that is no more than a doubt
     ahead: float = 0.0  # evidence of a load, or of a mistake behind one, that shows after it alone
     is_gross: bool = False  # all torques wrong by more than any model file, whatever the cost
 
@@ -164,18 +165,17 @@ def joint_factors(n: int, joints: Sequence[int], factor: float) -> Array:
     return factors
 
 
-def gain_edit(evidence: DiagnoseInput, factors: Array, half: float, is_sure: bool = True) -> str:
-    """Return the edit of the gains, times factors (n,) of which the logarithm is known to `half`;
-    without numbers where these are not sure enough to be written into a description."""
-    if is_sure and half <= SHARP:
-        return setting_edit(evidence, "tau", "gain", factors)
+def gain_edits(evidence: DiagnoseInput, factors: Array, half: float) -> tuple[str, str]:
+    """Return the edit of the gains, times factors (n,) of which the logarithm is known to `half`,
+    and the one without numbers, where these are not sure enough to be written down."""
     wrong = factors != 1.0
     size = float(np.exp(np.median(np.log(factors[wrong]))))
     names = first_names(evidence.names(wrong))
-    return (
+    doubt = (
         f"tau = {{ gain = ... }} of {names}: times the gear ratio, drive constant or unit that is "
         f"missing, between {size * np.exp(-half):.2g} and {size * np.exp(half):.2g}"
     )
+    return (setting_edit(evidence, "tau", "gain", factors) if half <= SHARP else doubt), doubt
 
 
 def setting_edit(

@@ -41,11 +41,10 @@ def gravity_direction(before: Hypothesis) -> Iterator[Candidate]:
         angle = _angle(g, declared)
 
         def turned(by: float, g: Array = g, angle: float = angle) -> Hypothesis:
-            """Gravity turned by an angle (degrees) from the declared one, towards g and beyond."""
             across = g - declared * (g @ declared) / max(float(declared @ declared), 1e-9)
             across *= size / max(float(np.linalg.norm(across)), 1e-9)
             there = declared * np.cos(np.radians(by)) + across * np.sin(np.radians(by))
-            there = g if by == angle else there
+            there = g if by == angle else there  # towards g and beyond
             return before.with_columns(inertial + np.tensordot(there, axes, axes=1))
 
         if angle > ANGLE:

@@ -137,7 +137,7 @@ class NearModel:
 
     def fit(self, mixing: Array) -> NearModelFit:
         """Fit of the torques T @ mixing, T the recorded ones (N, k) and mixing (k, n)."""
-        n, scale = len(self.products), self._scale(mixing)
+        n, scale = len(self.products), self.torque_scale(mixing)
         sides = np.concatenate([-np.ones((1, n)), mixing]).T  # of the torque less that of the file
         weight = np.ones(n)
         for _ in range(REWEIGHTED):
@@ -163,7 +163,7 @@ class NearModel:
     def variances(self, mixing: Array) -> Array:
         """Variances (p,) of the link parameters in the fit of T @ mixing, over those of the
         prior."""
-        r, weight = self.rank, _weights(self.fit(mixing).residual ** 2) * self._scale(mixing)
+        r, weight = self.rank, _weights(self.fit(mixing).residual ** 2) * self.torque_scale(mixing)
         P = np.stack([self.without_terms(j)[0][:r, :r] for j in range(len(self.products))])
         H = FLOOR**2 * np.eye(r) + self.parts * np.tensordot(weight, P, axes=1)
         # Directions without any effect on the torque keep the spread of the prior.
@@ -171,7 +171,7 @@ class NearModel:
         known = FLOOR**2 * np.linalg.inv(H)
         return np.asarray(np.einsum("pi,ij,pj->p", self.basis, known, self.basis) + unknown)
 
-    def _scale(self, mixing: Array) -> Array:
+    def torque_scale(self, mixing: Array) -> Array:
         """Reciprocals (n,) of the mean squares of the torques T @ mixing, 0 of one that is zero."""
         recorded = self.products[0, -len(mixing) :, -len(mixing) :]
         size = (mixing * (recorded @ mixing)).sum(axis=0)

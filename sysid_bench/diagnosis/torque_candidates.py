@@ -16,7 +16,7 @@ from sysid_bench.diagnosis.hypothesis import (
     Hypothesis,
     columns_edit,
     curvature_half,
-    gain_edit,
+    gain_edits,
     joint_factors,
     setting_edit,
 )
@@ -144,9 +144,9 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
         return
     # No link may need a negative mass; links without one in the file are left aside.
     found = scaled(factor)
-    most = found.fit.links[::10] + NORMAL * e.link_std[::10] * np.sqrt(found.variances[::10])
+    heaviest = found.fit.links[::10] + NORMAL * e.link_std[::10] * np.sqrt(found.variances[::10])
     half *= found.strain
-    if half > WIDEST or not (e.placeholder or (most >= 0).all()):
+    if half > WIDEST or not (e.placeholder or (heaviest >= 0).all()):
         return
     names, cause = "all joints" if is_common else e.joints[joints[0]], _cause(size, half)
     if is_common and size >= SMALLEST and cause not in KNOWN.values():
@@ -159,13 +159,11 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
     interval = float(size * np.exp(-half)), float(size * np.exp(half))
     estimate = f"{size:.3g} times too {'small' if factor > 1 else 'large'}"
     between = f"{level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}]"
-    # A doubt about the model file as well is no number to write into a description.
-    sure = interval[0] >= (SAME if is_common else SMALLEST)
-    factors = joint_factors(e.count, joints, factor)
+    most = ERROR if interval[0] >= (SAME if is_common else SMALLEST) else WARNING
+    edit, doubt = gain_edits(e, joint_factors(e.count, joints, factor), half)
     yield Candidate(
         "gain", joints, found, f"the torque of {names} is about {estimate} ({between}): {cause}",
-        gain_edit(e, factors, half, sure), BLIND_GAIN, most=ERROR if sure else WARNING,
-        estimate=estimate, interval=interval,
+        edit, BLIND_GAIN, most=most, doubt=doubt, estimate=estimate, interval=interval,
         # Links without mass fit small torques as well, at no cost but the prior's.
         is_gross=is_common and interval[0] > GROSS and e.placeholder == "",
     )  # fmt: skip
