@@ -65,8 +65,8 @@ class ActuatorsResult(IdentifyResult):
     files from three on. `motors`: of joints that name one, its `name`, and `armature` with `std`, a
     prior of the fit. `gains` (with `also`): {joints, gain over the stated one, low, high;
     determined} of joints that share one. `lost_motion` (rad, m): {joint: {width of the hysteresis
-    between position and command, 2 fc / kp; std}}. `configurations`: texts for "mjlab" and
-    "isaaclab".
+    between position and command, 2 fc / kp; std}}. `configurations`: texts for "mjlab",
+    "isaaclab" and "usd" (JSON).
     """
 
     delay: float
