@@ -308,19 +308,15 @@ def prepare_drives(
     problem = drive_problem(found.rows, found.delay, kinds)
     values, published = _prior_values(prior, fits[0], logs[0], joints)
     if values is not None:
-        problem = replace(problem, prior=_wide_prior(values))
+        # Prior around values (k, 4) of drives
+        theta = values.ravel()
+        # A value of zero is not known exactly: a deviation of zero would exclude all others.
+        least = 1e-3 * np.tile(np.maximum(np.abs(values).max(axis=0), 1e-3), len(values))
+        problem = replace(problem, prior=Prior(theta, np.maximum(WIDE * np.abs(theta), least)))
     test_rows = {name: rows_of(part) for name, part in judged.items()}
     held_out = {name: drive_problem(x, found.delay, kinds) for name, x in test_rows.items()}
     source = DriveSource(fits, judged, found, published)
     return ExperimentData(robot, problem, _experiment(problem, fits[0]), held_out, source)
-
-
-def _wide_prior(values: Array) -> Prior:
-    """Prior around values (k, 4) of drives."""
-    theta = values.ravel()
-    # A value of zero is not known exactly: a deviation of zero would exclude all others.
-    least = 1e-3 * np.tile(np.maximum(np.abs(values).max(axis=0), 1e-3), len(values))
-    return Prior(theta, np.maximum(WIDE * np.abs(theta), least))
 
 
 def _prior_values(
