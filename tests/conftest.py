@@ -77,6 +77,7 @@ def _absent_extra_is_a_skip(report: Any) -> Any:
     for package, needed in ABSENT.items():
         asked = f"sysid-bench[{EXTRAS.get(package, package)}]" in text
         imported = f"No module named '{package.replace('-', '_')}" in text
+        imported |= f"`Import {package}` failed" in text  # of pandas
         if asked or imported or f"needs {package}, which the installed" in text:
             report.outcome = "skipped"
             report.longrepr = (str(report.fspath), 0, f"Skipped: needs {needed}")
