@@ -178,12 +178,18 @@ def _lines(folders: "tuple[RunFolder, ...]", kind: str) -> "pd.DataFrame":
     """Lines of all runs, with the run of each."""
     import pandas as pd
 
-    from sysid_bench.reporting.claims import RUN
+    from sysid_bench.reporting.claims import CONTENT, RUN
     from sysid_bench.words import LEFT_OUT
 
     name = "by_value" if kind == LEFT_OUT else _FRAMES.get(kind, "cells")
     frames: list[pd.DataFrame] = [getattr(folder.frames(), name) for folder in folders]
     parts = [frame.assign(**{RUN: str(n)}) for n, frame in enumerate(frames)]
+    models = [folder.models for folder in folders]
+    if len(models) > 1 and all(models):
+        # Two files of one stem are two robots, and one robot under two names is one.
+        hashes = [{name: one["hash"] for name, one in records.items()} for records in models]
+        known = zip(parts, hashes, strict=True)
+        parts = [p.assign(**{CONTENT: p["robot"].map(h).fillna(p["robot"])}) for p, h in known]
     # Empty frames are left out: their columns of objects would change the types of the others.
     return pd.concat([part for part in parts if len(part)] or parts, ignore_index=True)
 

@@ -1,28 +1,27 @@
 """Identification of one robot from recordings of the real one: one cell of a suite with one
 [[log]]."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.commands.diagnose import check_contradictions
+from sysid_bench.commands.diagnose import check_contradictions, check_torque_units
 from sysid_bench.commands.identify import WORSE, Identify
 from sysid_bench.commands.identify_result import (
     OF_CELLS,
     IdentifyResult,
     base_lines,
     cell_fields,
-    constraint_lines,
     feasible_entry,
-    identifiable_of,
     joint_lines,
     solved,
     std_lines,
     warnings_of,
 )
+from sysid_bench.commands.payload_text import payload_lines
 from sysid_bench.commands.result import file_text, interval_text, short_names, value_text
 from sysid_bench.commands.write_model import DEVIATIONS, check_files, check_output_files
 from sysid_bench.errors import (
@@ -30,7 +29,6 @@ from sysid_bench.errors import (
     EstimationError,
     ModelError,
     UnsupportedError,
-    UsageError,
     WriteError,
 )
 from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
@@ -47,20 +45,16 @@ from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.linear.least_squares import RMS_TORQUE
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.model_checks import placeholder_reason
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import StoredTorque, torque_figure
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.pipeline_choice import default_log_pipeline
-from sysid_bench.signals.torque_scale import scale_contradiction
 from sysid_bench.types import Array, Estimate
 
 ESTIMATOR: Final = "wls-guarded"
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 """In place of the plant, excitation and simulation of a simulated experiment."""
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
-CURRENT: Final = "current"
-"""Name of the contradiction that torques are currents."""
 RIGID: Final = (
     "a rigid load; friction, offsets and gains of the joints are the same with and without it"
 )
@@ -96,7 +90,7 @@ class RecordedResult(IdentifyResult):
         reason, spreads = self.prior["reason"], self.prior["spreads"]
         lines = [
             *self._opening_lines(),
-            *(_payload_lines(self.payload) if self.payload else ()),
+            *(payload_lines(self.payload) if self.payload else ()),
             self._headline(way_on=self._way_on()),
             f"  task {self.task}, {self.estimator}: rank {self.rank} "
             f"of {self.parameters}, condition {value_text(self.condition)}",
@@ -346,37 +340,6 @@ def _stated_load(log: ProcessedLog) -> str:
     return f"{shape}, {place}"
 
 
-def check_torque_units(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
-    """Return accepted sentences on torques declared in N m that are currents, or torques of motors;
-    raise UsageError for those that `accept` does not name.
-
-    A model that is fitted to them is as good on their own motion, and wrong by their gains.
-    """
-    said = []
-    for log in logs:
-        described, recording, robot = log.log.description, log.log.recording, log.robot
-        is_declared = "A" not in (described.tau.unit or ()) and described.tau.pd is None
-        if not described.has_torque or not is_declared or placeholder_reason(robot):
-            continue
-        # In the order of the degrees of freedom: the others are locked, or no hinges or slides.
-        joints = [joint for joint in robot.joints if joint.name in robot.torque_rows]
-        q = recording.q[:, [joint.qadr for joint in joints]]
-        rows = [robot.torque_rows.index(joint.name) for joint in joints]
-        names = [joint.name for joint in joints]
-        data = q, recording.tau[:, rows], recording.t
-        reason = scale_contradiction(*data, robot, names, sure=True)
-        if reason and CURRENT not in accept:
-            raise UsageError(
-                f"{described.source}: tau does not hold torques of joints in N m: {reason} (cure: "
-                "tau = { unit = 'A', gain = [...] }, or ratio = [...] of the gears). Fix the "
-                f"description, or go on with --accept {CURRENT}."
-            )
-        said += [f"{described.source.name}: tau does not hold torques of joints: {reason}"] * bool(
-            reason
-        )
-    return said
-
-
 # --- Warnings -----------------------------------------------------------------------------------
 
 
@@ -456,71 +419,6 @@ def _error_text(joint: Mapping[str, Any]) -> str:
     relative = joint["relative"]
     share = "     -" if relative is None else f"{100 * relative:5.1f}%"
     return f"{joint['rmse']:8.3g} {share}"
-
-
-def _payload_lines(payload: Mapping[str, Any]) -> Iterator[str]:
-    """The mass by all joints and by single ones; or the identifiable values of the load, with
-    intervals; then what was assumed."""
-    share, masses = f"{100 * payload['confidence']:.10g} %", payload["by_joint"].items()
-    if "interval" in payload:
-        yield (
-            f"  payload: mass {payload['mass']:.4g} kg, {share} in "
-            f"{interval_text(*payload['interval'])}, by leaving parts of the motion out and by the "
-            "joints"
-        )
-    else:
-        yield from _load_lines(payload, share)
-    # Torques of a wrong scale make them differ.
-    if parts := [f"{name} {mass:.3g} ± {std:.1g}" for name, (mass, std) in masses]:
-        yield f"    by the torque of each joint: {', '.join(parts)} kg"
-    yield f"    assumed: {payload['assumed']}"
-
-
-def _load_lines(payload: Mapping[str, Any], share: str) -> Iterator[str]:
-    """Mass, centre of mass and inertia with their intervals, else the parameters that are
-    identifiable; what holds the load feasible, and what the intervals hold."""
-    texts = []
-    groups: tuple[tuple[str, tuple[str, ...], str], ...] = (
-        ("mass", ("mass",), "kg"),
-        ("com", ("centre of mass x", "y", "z"), "m"),
-        ("inertia", ("inertia about it Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"), "kg m^2"),
-    )
-    for key, names, unit in groups:
-        if ends := payload["intervals"].get(key):
-            found = zip(names, np.atleast_1d(payload[key]), map(list, ends), strict=True)
-            values = [f"{name} {value:.4g} in {_ends_text(*two)}" for name, value, two in found]
-            texts.append(f"{', '.join(values)} {unit}")
-    if not texts:
-        units = {"m": "kg", "h": "kg m", "I": "kg m^2"}
-        listed = [f"{key} {value_text(payload['parameters'][key])} {units[key[0]]}"
-                  for key in identifiable_of(payload)]  # fmt: skip
-        texts.append(", ".join(listed) or "nothing of it is identifiable on its own")
-    yield f"  payload: {texts[0]}"
-    yield from (f"    {text}" for text in texts[1:])
-    yield from constraint_lines(payload["constraint"])
-    if payload["intervals"]:
-        if payload["intervals"]["mass"][0][0] <= 0:
-            yield "    the mass may be zero, and then its centre and inertia have no value"
-        yield f"    {share} intervals by leaving parts of the motion out{_scale_text(payload)}"
-
-
-def _scale_text(payload: Mapping[str, Any]) -> str:
-    """The uncertainty of the torque scale that intervals hold, or that they hold none."""
-    scale = payload["gain_std"]
-    if scale["from"] is None:
-        return "; errors of the torque scale are not in them: state tau.gain_std in the logs"
-    sizes = sorted({f"{100 * u:.2g}" for u in scale["std"].values()}, key=float)
-    size = " to ".join(dict.fromkeys((sizes[0], sizes[-1])))
-    if scale["from"] == "stated":
-        return f" and by the torque scales, {size} % as gain_std of the logs states"
-    return (
-        f" and by the torque scales, {size} % as far as the joints disagree on the mass; an error "
-        "that all joints share shows in none of them: state it as tau.gain_std"
-    )
-
-
-def _ends_text(low: float, high: float) -> str:
-    return f"[{low:.4g}, {high:.4g}]"
 
 
 def _constraint_lines(constraints: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -132,10 +132,10 @@ class IdentifyResult(Result):
         """Entries of the text: deviations as half of the length of intervals of a stated level."""
         reach = self.reach or 1.0
 
-        def scaled(value: Any) -> Any:
+        def scaled(value: Any, is_std: bool = False) -> Any:
             if isinstance(value, Mapping):
-                return {k: _times(x, reach) if k == "std" else scaled(x) for k, x in value.items()}
-            return value
+                return {key: scaled(x, is_std or key == "std") for key, x in value.items()}
+            return reach * value if is_std and value is not None else value
 
         return {name: scaled(entry) for name, entry in entries.items()}
 
@@ -143,24 +143,20 @@ class IdentifyResult(Result):
         """Warnings without which the answer is misread."""
         return [f"warning: {warning}" for warning in self.warnings[: self._urgent]]
 
-    def _headline(self, known: str = "", way_on: str = "") -> str:
+    def _headline(self, exact: str = "", way_on: str = "") -> str:
         """Known parameters, errors beside those of the baselines, and the next step."""
-        is_exact = bool(known)
-        if not known and self.base:
+        texts = [exact]
+        if self.base and not exact:
             sure = sum(bool(e["std"]) and e["std"] < KNOWN * abs(e["value"]) for e in self.base)
             known = f"{sure} of {len(self.base)} base parameters are known within 10 %"
-            if self.std_from is None:
-                known = f"{count_text(len(self.base), 'base parameter')} without an interval"
-        whole = [
-            f"mass of {name} {estimate_text(body['mass'], body['std']['m'])} kg"
-            for name, body in self._of_level(self.bodies).items()
-            if len(self.bodies) == 1 and body["mass"] is not None
-        ]
-        if is_exact or "by_joint" in (self.payload or {}):  # no deviation, or lines of its own
-            whole = []
-        texts = [", ".join(filter(None, (*whole, known))), self._error_text()]
+            texts = [known if self.std_from else f"{len(self.base)} base parameters, no intervals"]
+            # That of a recorded load has lines of its own.
+            if len(self.bodies) == 1 and "by_joint" not in (self.payload or {}):
+                ((name, body),) = self._of_level(self.bodies).items()
+                mass = estimate_text(body["mass"], body["std"]["m"])
+                texts[0] = f"mass of {name} {mass} kg, {texts[0]}" if body["mass"] else texts[0]
         # What a warning above advises comes first.
-        texts = list(filter(None, [*texts, "" if self._urgent else way_on]))
+        texts = list(filter(None, [*texts, self._error_text(), "" if self._urgent else way_on]))
         return f"{self.model}: {'. '.join(texts)}."
 
     def _error_text(self) -> str:
@@ -183,13 +179,6 @@ class IdentifyResult(Result):
         # A model that was read again and judged has lines of its own.
         files = {"figure": self.figure, "model": None if self.written else self.model_out}
         return lines + [f"  {name}: {file}" for name, file in files.items() if file]
-
-
-def _times(std: Any, factor: float) -> Any:
-    """A deviation, or those of a body by parameter, times a factor."""
-    if isinstance(std, Mapping):
-        return {key: _times(value, factor) for key, value in std.items()}
-    return None if std is None else factor * std
 
 
 # --- Fields -------------------------------------------------------------------------------------
@@ -465,27 +454,6 @@ def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
     if others:
         lines.append(f"  nothing is identifiable on its own: {first_names(others, SHOWN)}")
     return lines
-
-
-def constraint_lines(constraint: Mapping[str, Any]) -> Iterator[str]:
-    """Changes by the constraint of a feasible load; none where the data satisfy it."""
-    if not constraint["binds"]:
-        return
-    yield (
-        "    held feasible (mass positive, inertia about the centre within the triangle "
-        f"inequality): torque error {_percent(constraint['cost'])}, squared residuals over their "
-        f"noise {constraint['excess']:+.3g}"
-    )
-    free = constraint["without"]
-    texts = [f"mass {free['mass'][0]:.4g} kg"] if "mass" in free else []
-    if "inertia" in free:
-        texts.append(f"inertia {' '.join(f'{x:.2g}' for x in free['inertia'])} kg m^2")
-    if texts:
-        yield f"      without it: {', '.join(texts)}"
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:+.2g} %"
 
 
 def joint_lines(joints: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[str]:

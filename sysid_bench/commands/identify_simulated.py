@@ -15,13 +15,13 @@ from sysid_bench.commands.identify_result import (
     base_lines,
     body_lines,
     cell_fields,
-    constraint_lines,
     feasible_entry,
     joint_lines,
     solved,
     std_lines,
     warnings_of,
 )
+from sysid_bench.commands.payload_text import constraint_lines
 from sysid_bench.commands.result import OMIT_NONE, file_text, value_text
 from sysid_bench.commands.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.commands.task_terms import check_terms
@@ -46,6 +46,7 @@ from sysid_bench.experiments.tasks.task import find_task
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.model_record import seed_content
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.plugin_names import build
@@ -260,9 +261,9 @@ def _robot(request: Identify, spec: ExperimentSpec) -> tuple[LoadedRobot, Experi
     the next call; a path may mean another file by then, in another working folder or after a
     change."""
     manifest = find_manifest(str(request.model), request.robots_dir)
-    if manifest.content is not None:
+    if manifest.by_path:
         robot = load_robot(manifest, parse_payload(spec.payload), request.free_base)
-        return LoadedRobot(robot), replace(spec, content=manifest.content)
+        return LoadedRobot(robot), replace(spec, content=seed_content(manifest, request.free_base))
     folder = file_text(request.robots_dir)
     return loaded_robot(spec.robot, spec.payload, folder, None, request.free_base), spec
 

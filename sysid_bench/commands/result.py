@@ -1,7 +1,6 @@
 """Base of the results that commands return: frozen records that also read as mappings."""
 
 import json
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
@@ -105,24 +104,19 @@ def estimate_text(value: float | None, std: float | None, absent: str = "-") -> 
 def short_names(names: Iterable[str]) -> tuple[dict[str, str], str]:
     """Names without the words that all begin and end with, and what was left out: of
     "panda_joint1", ... " (panda_*)"."""
-    words = {name: re.findall(r"[^_./-]*[_./-]?", name)[:-1] for name in names}
-    if len(words) < 2:
-        return {name: name for name in words}, ""
-    first = _alike(words.values())
-    ends = [[word.strip("_./-") for word in reversed(own[first:])] for own in words.values()]
-    last = _alike(ends)
-    found = {name: "".join(own[first : len(own) - last]) for name, own in words.items()}
-    if not (first or last) or not all(found.values()):
+    words = {name: name.split("_") for name in names}
+
+    def alike(rows: Iterable[Sequence[str]]) -> int:
+        columns = zip(*rows, strict=False)
+        return sum(1 for _ in takewhile(lambda column: len(set(column)) == 1, columns))
+
+    first = alike(words.values())
+    last = alike([own[:first:-1] for own in words.values()])
+    short = {name: "_".join(own[first : len(own) - last]) for name, own in words.items()}
+    if len(words) < 2 or not (first or last) or not all(short.values()):
         return {name: name for name in words}, ""
     one = next(iter(words.values()))
-    left_out = f"{''.join(one[:first])}*{'_' * (last > 0)}{''.join(one[len(one) - last :])}"
-    return {name: short.rstrip("_./-") for name, short in found.items()}, f" ({left_out})"
-
-
-def _alike(rows: Iterable[Sequence[str]]) -> int:
-    """Number of first words that all rows share."""
-    columns = zip(*rows, strict=False)
-    return sum(1 for _ in takewhile(lambda column: len(set(column)) == 1, columns))
+    return short, f" ({'_'.join([*one[:first], '*', *one[len(one) - last :]])})"
 
 
 def interval_text(low: float, high: float) -> str:

@@ -29,7 +29,6 @@ class Status(Request["StatusResult"]):
         """Return the progress of a run and the reasons of cells that are not `ok`."""
         from sysid_bench.commands.run_folder import open_run
         from sysid_bench.harness.fingerprint import other_code
-        from sysid_bench.harness.merge import contradictions
 
         run = open_run(self.folder)
         counts = run.row_counts()
@@ -44,7 +43,6 @@ class Status(Request["StatusResult"]):
             reasons=_reasons(counts),
             other_code=other_code(run, counts),
             damaged=[*run.damaged],
-            contradicting=contradictions(run),
         )
 
 
@@ -73,8 +71,7 @@ cell = python_function(Cell, "cell")
 class StatusResult(Result):
     """Progress of a run: planned cells, rows by status, reasons with their counts, and the number
     of rows from `other_code`, models or libraries than there are now; `damaged` rows, changed after
-    they were written, whose cells count as open, and `contradicting` cells with several ok rows of
-    one code that differ."""
+    they were written, whose cells count as open."""
 
     folder: str
     cells: int
@@ -83,7 +80,6 @@ class StatusResult(Result):
     reasons: list[dict[str, Any]]
     other_code: int
     damaged: list[str]
-    contradicting: list[str]
 
     def summary(self) -> str:
         """Counts, then one line for each reason."""
@@ -93,9 +89,6 @@ class StatusResult(Result):
         counts = status_counts(self.statuses) or "no rows"
         lines = [f"{self.cells} cells: {counts}, {self.open} open"]
         lines += map(_reason_line, self.reasons)
-        if self.contradicting:
-            cells = errors.first_names(self.contradicting)
-            lines.append(f"cells with ok rows of one code that differ, the last holds: {cells}")
         notes = damage_note(self.damaged), stale_note(self.other_code)
         return "\n".join([*lines, *filter(None, notes)])
 

@@ -283,12 +283,7 @@ def limit_commands(
                 "hot": drive.rated is not None and rms > drive.rated,
             }
         )
-    _check_clamped(report, most)
-    return inside, report
-
-
-def _check_clamped(report: list[dict[str, Any]], most: float) -> None:
-    """Refuse commands of which a joint has a larger share clamped than `most`."""
+    # Refuse commands of which a joint has a larger share clamped than `most`
     worst = max(report, key=lambda entry: max(entry["clamped"].values()))
     signal, share = max(worst["clamped"].items(), key=itemgetter(1))
     if share > most:
@@ -298,6 +293,7 @@ def _check_clamped(report: list[dict[str, Any]], most: float) -> None:
             f"its motor, more than {most:.1%}. Clamping changes the motion: design it within these "
             "limits (--limit), or allow a larger share (--clamp)."
         )
+    return inside, report
 
 
 def _frames(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:

@@ -208,10 +208,20 @@ MOST_STATS: Final = 256
 """Numbers of a method that become columns of the results."""
 
 
+LARGEST_STATS: Final = 1_000_000
+"""Bytes of `stats` as JSON, 40 times the rest of a row: 10,000 cells have 10 GB with them."""
+
+
 def _limited(stats: Mapping[str, Any]) -> Row:
     """At most MOST_STATS entries of a method's `stats`; the rest as one JSON text, `more`: each key
-    is a column, and 300,000 of them took minutes to write."""
+    is a column, and 300,000 of them took minutes to write. Raises UsageError beyond LARGEST_STATS.
+    """
     names = list(stats)
+    if (size := len(json.dumps(plain(dict(stats))))) > LARGEST_STATS:
+        raise UsageError(
+            f"The method's 'stats' have {size / 1e6:.1f} MB; {LARGEST_STATS / 1e6:g} MB are stored "
+            "at most, since whoever reads a run reads all its rows. Return less in 'stats'."
+        )
     if len(names) <= MOST_STATS:
         return dict(stats)
     kept = {name: stats[name] for name in names[: MOST_STATS - 1]}

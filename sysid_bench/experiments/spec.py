@@ -248,8 +248,9 @@ def seed_of_hash(seal: str) -> str:
     file = os.environ.get(SEEDS)
     if not file:
         raise UsageError(
-            f"The plant is sealed ({seal[:12]}...): a maintainer keeps its seed, and runs it with "
-            f"{SEEDS} = the file that holds the seed. Leave its cells out with --select."
+            f"The plant is sealed ({seal[:12]}...): a maintainer keeps its seed, and runs and "
+            f"checks it with {SEEDS} = the file that holds the seed. Leave its cells out of a run "
+            "with --select."
         )
     seeds = _seeds(file)
     if seal not in seeds:
@@ -265,9 +266,8 @@ def refuse_beside_seeds(what: str) -> None:
     secret seeds."""
     if os.environ.get(SEEDS):
         raise UsageError(
-            f"{what} is code of others that would run where the file of {SEEDS} can be read, and "
-            "with it the truth of sealed plants. With secret seeds estimators of suites alone may "
-            f"be of others; unset {SEEDS} for anything else."
+            f"{what} is code of others, and could read the seeds of sealed plants here; with seeds "
+            f"estimators of suites alone may be of others: unset {SEEDS}."
         )
 
 

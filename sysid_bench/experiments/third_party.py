@@ -10,7 +10,7 @@ from contextlib import suppress
 from functools import cache
 from importlib.metadata import Distribution, PackageNotFoundError, distributions, requires, version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
@@ -22,9 +22,6 @@ from sysid_bench.signals.log_reader import KIND as LOG_READER
 from sysid_bench.signals.log_reader import package_reader
 from sysid_bench.version_fields import PACKAGE_FOLDER
 from sysid_bench.words import MOTOR, TERMS
-
-NO_PARTS: Final[Mapping[str, Any]] = {"data": False, "metrics": False, "methods": []}
-"""Parts of an experiment without code of others; see `third_party_parts`."""
 
 
 def third_party_parts(argument: Mapping[str, Any]) -> dict[str, Any]:

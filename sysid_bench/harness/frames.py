@@ -625,12 +625,11 @@ def _consolidate(
         scan = _Scan(planned, copy, earlier, files)
         covered = scan.read(row_files(folder / "cells"))
         text = _part_file(target, COVERAGE_FILE)
+        parts = {name: _part_file(target, f"{name}.parquet") for name in FRAMES}
         # Nothing new: the files stay, and only what they cover is stated anew.
         if earlier and out is None and not scan.places:
-            footers = earlier.footers
-            parts = dict[str, Path]()
+            footers, parts = earlier.footers, {}
         else:
-            parts = {name: _part_file(target, f"{name}.parquet") for name in FRAMES}
             for part in parts.values():
                 stack.callback(part.unlink, missing_ok=True)
             _write_parts(scan, parts, files)

@@ -19,7 +19,7 @@ from typing import Any, Final, Literal
 from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
 from sysid_bench.experiments.spec import SEEDS
-from sysid_bench.experiments.third_party import NO_PARTS, third_party_parts
+from sysid_bench.experiments.third_party import third_party_parts
 from sysid_bench.harness.cell import Cell, PlannedRow, fields
 from sysid_bench.harness.executor import Executor, RunEnd, Work, executor_of
 from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale_note
@@ -104,10 +104,9 @@ def run(
     # An executor that is not there is an error before the suite is read.
     chosen = executor_of(executor)
     source, overrides = suite_or_folder, overrides or {}
-    is_stored = not isinstance(source, Suite) and is_folder(Path(source))
-    if is_stored:
+    if not isinstance(source, Suite) and is_folder(Path(source)):
         # A run that is named goes on with its frozen suite, whatever its file says today.
-        folder = _open_run(Path(str(source)), out, overrides)
+        folder = _open_run(Path(source), out, overrides)
         if os.environ.get(SEEDS):  # a maintainer runs the sealed cells of a submission
             folder.check_path()
     else:
@@ -119,11 +118,9 @@ def run(
         if select is not None:
             Expression.parse(select, plan.fields)  # an unknown field leaves no folder behind
         folder = RunFolder.new(out or Path("reports") / suite.name, suite, plan, environment())
-    third_party = third_party_names(folder.suite, robots_dir)
-    if note := code_note(third_party):
+    if note := code_note(third_party_names(folder.suite, robots_dir)):
         on_event("code", {"note": note})  # before any of it runs in a cell
-    # The plan of a run that somebody else gave may name code that its suite does not.
-    return _run_selected(request, folder, chosen, on_event, is_stored or bool(third_party))
+    return _run_selected(request, folder, chosen, on_event)
 
 
 @dataclass(frozen=True)
@@ -215,7 +212,7 @@ def _load(source: str, names: Names, overrides: Mapping[str, str], request: "_Re
 
 
 def _run_selected(
-    request: _Request, folder: RunFolder, executor: Executor, on_event: OnEvent, has_code: bool
+    request: _Request, folder: RunFolder, executor: Executor, on_event: OnEvent
 ) -> RunResult:
     """Compute the selected cells that have to run, and write the frames of the run."""
     selected = request.selected(folder.plan)
@@ -230,7 +227,7 @@ def _run_selected(
             PlannedRow(cell, fingerprint(cell), stored.get(cell.id, {}).get("losses") or 0)
             for cell in todo
         )
-        work = _work(request, folder, rows, has_code, lock)
+        work = _work(request, folder, rows, lock)
         # Expected seconds by cell are the weights of a progress bar.
         counts = {"cells": len(selected), "open": len(work.seconds), "tasks": len(work.jobs)}
         on_event("plan", {**counts, "seconds": work.seconds})
@@ -271,7 +268,6 @@ def _work(
     request: _Request,
     folder: RunFolder,
     rows: Iterable[PlannedRow],
-    has_code: bool,
     lock: int | None,
 ) -> Work:
     """Return the jobs of some cells, one for each experiment, whose cells share its data."""
@@ -282,7 +278,7 @@ def _work(
 
     def job(heads: Sequence[PlannedRow]) -> Job:
         cells = [row.cell for row in heads]
-        argument = job_of(cells, suite, robots_dir, has_code) | {
+        argument = job_of(cells, suite, robots_dir) | {
             "fingerprints": {row.cell.id: row.fingerprint for row in heads},
             "artifacts": str(folder.path.resolve() / "artifacts"),
         }
@@ -307,13 +303,10 @@ def _work(
     )
 
 
-def job_of(
-    cells: Sequence[Cell], suite: Suite, robots_dir: Path | None, has_code: bool = True
-) -> dict[str, Any]:
+def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict[str, Any]:
     """Return the argument for these cells, all of one experiment.
 
-    Plug-in files and robots are found from the suite's folder; `labels` begin every row. `has_code`
-    False: no plug-in of the suite is third-party, and none is looked for.
+    Plug-in files and robots are found from the suite's folder; `labels` begin every row.
     """
     argument: dict[str, Any] = {
         "experiment": cells[0].spec.to_json(),
@@ -339,8 +332,7 @@ def job_of(
         "folder": str(suite.folder),
         "robots_dir": None if robots_dir is None else str(robots_dir.resolve()),
     }
-    code = third_party_parts(argument) if has_code else NO_PARTS
-    return argument | {"third_party": dict(code)}
+    return argument | {"third_party": third_party_parts(argument)}
 
 
 def _papers_of(cells: Sequence[Cell], suite: Suite) -> dict[str, list[dict[str, Any]]]:

@@ -13,7 +13,7 @@ import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -173,17 +173,15 @@ class RunFolder:
         return cls(path)
 
     def check_path(self) -> None:
-        """Raise UsageError where Python looks for modules in this folder: of a run that somebody
-        else gave, a file with the name of a library, or sitecustomize.py, would be part of the
-        processes that hold the truth."""
+        """Raise UsageError where Python looks for modules in this folder, of somebody else, whose
+        numpy.py or sitecustomize.py would be part of the processes that hold the truth."""
         here = self.path.resolve()
-        for entry in (entry or os.getcwd() for entry in sys.path):
-            if Path(entry).resolve().is_relative_to(here):
-                raise UsageError(
-                    f"Python looks for modules in {entry!r}, and would take those of "
-                    f"{str(self.path)!r} for its own: leave that folder, or take it out of "
-                    "PYTHONPATH. Methods in it are named 'file:mine.py:Mine'."
-                )
+        if any(Path(entry or os.getcwd()).resolve().is_relative_to(here) for entry in sys.path):
+            raise UsageError(
+                f"Python looks for modules in {str(self.path)!r}, and would take them for its own: "
+                "leave that folder, or take it out of PYTHONPATH. Methods in it are named "
+                "'file:mine.py:Mine'."
+            )
 
     @cached_property
     def suite(self) -> Suite:
@@ -261,15 +259,6 @@ class RunFolder:
         """Size of the row files."""
         return sum(path.stat().st_size for path in row_files(self._cells))
 
-    @property
-    def line_count(self) -> int:
-        """Number of lines of the row files, of one cell as many as it has rows."""
-        count = 0
-        for path in row_files(self._cells):
-            with path.open("rb") as file:
-                count += sum(block.count(b"\n") for block in iter(partial(file.read, 2**20), b""))
-        return count
-
     def rows(self, cells: Collection[str] | None = None) -> StoredRows:
         """Read the rows stored so far, or those of some cells."""
         return read_rows(self._cells, cells=cells, hashed=self.has_hashes)
@@ -307,21 +296,14 @@ class RunFolder:
         coverage = read_coverage(self.path, row_files(self._cells))
         start, known = (coverage.start, coverage.garbled) if coverage else ({}, ())
         rest = read_rows(self._cells, start=start, fields=HEAD[:1], hashed=self.has_hashes)
-        places = (*known, *rest.garbled)
-        if not places:  # without reading any row twice
-            return ()
-        rows = self.first_fields().rows.keys()
-        found = []
-        for place in places:
-            name, _, number = place.rpartition(":")  # a folder in place of a file has no line
-            cell = None
-            if name:
-                for line in islice(lines(self._cells / name), int(number) - 1, int(number)):
-                    cell = hash_error(line.text, hashed=self.has_hashes)
-            if cell in self.planned and cell not in rows:
-                found.append(f"{place} (cell {cell})")
-            elif cell is None and not rows >= {*self.planned}:
-                found.append(place)
+        places, found = (*known, *rest.garbled), []
+        left = {*self.planned}.difference(self.first_fields().rows) if places else set[str]()
+        for place in places if left else ():
+            name, _, number = place.rpartition(":")
+            line = next(islice(lines(self._cells / name), int(number) - 1, None)) if name else None
+            cell = hash_error(line.text, hashed=self.has_hashes) if line else None
+            if cell is None or cell in left:
+                found.append(f"{place} (cell {cell})" if cell else place)
         return tuple(found)
 
     def row_counts(self) -> RowCounts:

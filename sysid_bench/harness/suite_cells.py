@@ -301,7 +301,7 @@ def _is_path(names: Names, suite: Suite, robot: str) -> bool:
     """True for a robot that is given by the path of its file."""
     if robot.startswith(SCHEME):
         return False
-    return getattr(names.robot(robot, suite.folder), "content", None) is not None
+    return bool(getattr(names.robot(robot, suite.folder), "by_path", False))
 
 
 def _identities(suite: Suite, names: Names) -> Callable[[ExperimentSpec], dict[str, Any]]:

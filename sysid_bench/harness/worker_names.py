@@ -22,7 +22,6 @@ from sysid_bench.harness.suite.names import (
     name_error,
     static_names,
 )
-from sysid_bench.harness.work.confinement import is_confined
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.metrics import metric_of_plugin, metric_record
 
@@ -37,11 +36,12 @@ SECONDS: Final = 60.0
 def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
     """Yield the names of this installation; third-party code stays out of this process.
 
-    Where secret seeds are here, and no namespaces to hide them, it runs nowhere: its source alone
-    is read.
+    Where secret seeds are here, it runs nowhere: its source alone is read.
     """
+    if os.environ.get(SEEDS):
+        yield static_names(robots_dir)
+        return
     own, answers = default_names(robots_dir), dict[str, Mapping[str, Any]]()
-    unseen, secret = static_names(robots_dir), bool(os.environ.get(SEEDS))
 
     def ask(argument: Mapping[str, Any]) -> Mapping[str, Any]:
         key = canonical(argument)
@@ -49,8 +49,7 @@ def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
         if key not in answers:
             title = f"making {argument['kind']} {argument['use']!r}"
             try:
-                given = {**argument, "secret": secret}
-                answers[key] = worker.call(f"{__name__}:build_plugin", given, title)
+                answers[key] = worker.call(f"{__name__}:build_plugin", argument, title)
             except WorkerError as error:
                 answers[key] = {"error": str(error)}
         if "error" in answers[key]:
@@ -61,16 +60,13 @@ def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
         use = spec.get("use")
         if not isinstance(use, str) or not plugin_names.is_third_party(kind, use):
             return own.plugin(kind, spec)
-        answer = ask({"kind": kind, "use": use, "spec": dict(spec)})
-        return unseen.plugin(kind, spec) if "unseen" in answer else answer.get("metric")
+        return ask({"kind": kind, "use": use, "spec": dict(spec)}).get("metric")
 
     def task(name: str, folder: Path | None) -> "TaskDefinition | CheckedName":
         if not plugin_names.is_third_party("task", name):
             return own.task(name, folder)
         place = None if folder is None else str(folder)
         answer = ask({"kind": "task", "use": name, "folder": place})
-        if "unseen" in answer:
-            return unseen.task(name, folder)
         return CheckedName(name, supports_recordings=answer["supports_recordings"])
 
     with CallWorker(SECONDS, is_confined=True) as worker:
@@ -78,10 +74,7 @@ def worker_names(robots_dir: Path | None = None) -> Iterator[Names]:
 
 
 def build_plugin(argument: Mapping[str, Any], channel: JobChannel) -> dict[str, Any]:
-    """Import and build one plug-in; return what planning needs of it, {error}, or {unseen} of one
-    that could read a secret here."""
-    if argument["secret"] and not is_confined():
-        return {"unseen": True}
+    """Import and build one plug-in; return what planning needs of it, or {error}."""
     kind, folder = argument["kind"], argument.get("folder")
     try:
         if kind == "task":

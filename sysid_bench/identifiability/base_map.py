@@ -17,7 +17,6 @@ from sysid_bench.errors import count_text
 from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorSubtree, instruments_of
-from sysid_bench.models.tree import Tree
 from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.sensor_offset import measured_regression
 from sysid_bench.types import Array, BaseMap, Trajectory
@@ -199,28 +198,6 @@ def structural_count(robot: RobotModel) -> BaseCount:
     return base_count(structural_factor(robot, robot.inertial_columns))
 
 
-def _carried_columns(
-    robot: RobotModel, tree: Tree, parameters: tuple[str, ...]
-) -> tuple[tuple[str, ...], Array]:
-    """Return the names of m columns that span all p parameters, and the coefficients X (m, p).
-    Bodies welded to a link act through the link's ten parameters, so that m does not grow with
-    their number."""
-    index = {name: j for j, name in enumerate(robot.inertial_columns)}
-    weights: dict[str, Array] = {}
-    for j, name in enumerate(parameters):
-        acting = {name: 1.0}
-        if name in index:
-            body, number = divmod(index[name], 10)
-            link, column = int(tree.carrier[body]), tree.X[body][:, number]
-            # Welded to the world (link -1), no joint carries it.
-            nonzero = np.flatnonzero(column).tolist() if link >= 0 else []
-            first = 10 * tree.links[link].body
-            acting = {robot.inertial_columns[first + k]: float(column[k]) for k in nonzero}
-        for column, weight in acting.items():
-            weights.setdefault(column, np.zeros(len(parameters)))[j] = weight
-    return tuple(weights), np.array([*weights.values()]).reshape(-1, len(parameters))
-
-
 def structural_factor(
     robot: RobotModel,
     parameters: tuple[str, ...],
@@ -234,7 +211,23 @@ def structural_factor(
     `appended(motion)` returns k further columns (N, rows, k): then R is (m, p + k).
     """
     instruments = instruments_of(robot, cuts)
-    carried, X = _carried_columns(robot, instruments.tree, parameters)
+    # The names of m columns that span all p parameters, and the coefficients X (m, p). Bodies
+    # welded to a link act through the link's ten parameters, so that m does not grow with their
+    # number
+    index = {name: j for j, name in enumerate(robot.inertial_columns)}
+    weights: dict[str, Array] = {}
+    for j, name in enumerate(parameters):
+        acting = {name: 1.0}
+        if name in index:
+            body, number = divmod(index[name], 10)
+            link, column = int(instruments.tree.carrier[body]), instruments.tree.X[body][:, number]
+            # Welded to the world (link -1), no joint carries it.
+            nonzero = np.flatnonzero(column).tolist() if link >= 0 else []
+            first = 10 * instruments.tree.links[link].body
+            acting = {robot.inertial_columns[first + k]: float(column[k]) for k in nonzero}
+        for column, weight in acting.items():
+            weights.setdefault(column, np.zeros(len(parameters)))[j] = weight
+    carried, X = tuple(weights), np.array([*weights.values()]).reshape(-1, len(parameters))
     columns = measured_regression(robot, carried, instruments, rows)
     available = instruments.measured
     measured = [available.index(row) for row in (available if rows is None else rows)]

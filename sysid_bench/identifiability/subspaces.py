@@ -89,7 +89,11 @@ def structural_subspaces(
         torques[base] = basis @ factors.span(proximal)
     joints = {row: basis @ factors.span_of_drive(i) for i, row in enumerate(factors.drives.rows)}
     # Components of the wrench are those in the sensor frame, not at the root.
-    components = _to_sensor(cut) @ subtree.wrench_transform(robot.body_names[cut.body]) @ Y_n
+    # Transform (6, 6) of wrenches from the frame of the sensor's body to that of the sensor
+    X = np.zeros((6, 6))
+    X[:3, :3] = X[3:, 3:] = cut.R.T
+    X[:3, 3:] = -cut.R.T @ skew(cut.p)
+    components = X @ subtree.wrench_transform(robot.body_names[cut.body]) @ Y_n
     return Subspaces(
         columns=subtree.columns,
         wrench=basis @ wrench,
@@ -108,14 +112,6 @@ def _moved_bodies(robot: RobotModel, cut: SensorSubtree) -> tuple[str, ...]:
     """Bodies that joints move, the sensor's first; welded ones add no information."""
     moving = {cut.body, *(link.body for link in robot.tree.links)}
     return tuple(robot.body_names[b] for b in cut.bodies if b in moving)
-
-
-def _to_sensor(cut: SensorSubtree) -> Array:
-    """Transform (6, 6) of wrenches from the frame of the sensor's body to that of the sensor."""
-    X = np.zeros((6, 6))
-    X[:3, :3] = X[3:, 3:] = cut.R.T
-    X[:3, 3:] = -cut.R.T @ skew(cut.p)
-    return X
 
 
 def floating_subtree_states(robot: RobotModel, cut: SensorSubtree) -> SubtreeRegressor:

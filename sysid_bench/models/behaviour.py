@@ -157,7 +157,11 @@ def _torques(robot: RobotModel) -> Iterator[_Fact]:
         for j, joint in enumerate(robot.joints):
             kind = int(mj.jnt_type[j])
             # By the joint's name, so that another joint more or less leaves those that stay.
-            drawn = _draws(f"{joint.name} {state}", 3 * len(joint.dofs) + 4)
+            # Numbers (count,) in [-1, 1] that depend on the text alone, with every library
+            text = f"{joint.name} {state}"
+            count = 3 * len(joint.dofs) + 4
+            digests = (hashlib.sha256(f"{text} {i}".encode()).digest() for i in range(count))
+            drawn = np.array([int.from_bytes(digest[:6]) / 2**47 - 1.0 for digest in digests])
             q, v, a = _REACH[kind in (HINGE, BALL)]
             at = slice(joint.vadr, joint.vadr + len(joint.dofs))
             turn = drawn[-4:] / np.linalg.norm(drawn[-4:])
@@ -174,12 +178,6 @@ def _torques(robot: RobotModel) -> Iterator[_Fact]:
         mujoco.mj_rne(mj, data, 1, torque)
     for joint in robot.joints:
         yield joint.name, TORQUE, torques[:, joint.vadr : joint.vadr + len(joint.dofs)].ravel()
-
-
-def _draws(text: str, count: int) -> Array:
-    """Return numbers (count,) in [-1, 1] that depend on the text alone, with every library."""
-    digests = (hashlib.sha256(f"{text} {i}".encode()).digest() for i in range(count))
-    return np.array([int.from_bytes(digest[:6]) / 2**47 - 1.0 for digest in digests])
 
 
 def _size(numbers: Sequence[float] | Array) -> float:

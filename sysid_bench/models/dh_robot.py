@@ -67,7 +67,22 @@ def mjcf_of(
     roll, pitch, yaw = base
     c, s = np.cos(pitch), np.sin(pitch)
     Ry = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    placed = _place(table, convention, frames, _Rz(yaw) @ Ry @ _Rx(roll))
+    # Bodies in table order; a fixed row keeps the body that it is fixed to
+    R_base = _Rz(yaw) @ Ry @ _Rx(roll)
+    frame_of = {"standard": _standard, "modified": _modified}[convention]
+    # Body that carries the DH frame of a link, and the pose of that frame in it.
+    ends: dict[str | None, tuple[int, Array, Array]] = {None: (-1, R_base, np.zeros(3))}
+    placed: list[_Placed] = []
+    for i, row in enumerate(table.rows):
+        parent, R_before, p_before = ends[row.prev]
+        R, p, axis, anchor, p_end = frame_of(row, frames)
+        R, p, R_end = R_before @ R, p_before + R_before @ p, np.eye(3)
+        carrier = i
+        if not row.is_joint:
+            carrier, R_end, p_end = parent, R @ R_end, p + R @ p_end
+        ends[row.link] = (carrier, R_end, p_end)
+        body = _Placed(parent, R=R, p=p, axis=axis, anchor=anchor, R_end=R_end, p_end=p_end)
+        placed.append(body)
     known = [row.link for row in table.rows]
     unknown = set(massless).difference(known)
     if unknown:
@@ -106,25 +121,6 @@ def _couplings(table: DhTable, placed: list[_Placed]) -> str:
     sections = {"tendon": tendons, "equality": equalities}
     couplings = (f"  <{tag}>\n{x}  </{tag}>\n" for tag, x in sections.items() if x)
     return f"{''.join(couplings)}  <actuator>\n{motors}  </actuator>\n"
-
-
-def _place(table: DhTable, convention: Convention, frames: Frames, R_base: Array) -> list[_Placed]:
-    """Bodies in table order; a fixed row keeps the body that it is fixed to."""
-    frame_of = {"standard": _standard, "modified": _modified}[convention]
-    # Body that carries the DH frame of a link, and the pose of that frame in it.
-    ends: dict[str | None, tuple[int, Array, Array]] = {None: (-1, R_base, np.zeros(3))}
-    placed: list[_Placed] = []
-    for i, row in enumerate(table.rows):
-        parent, R_before, p_before = ends[row.prev]
-        R, p, axis, anchor, p_end = frame_of(row, frames)
-        R, p, R_end = R_before @ R, p_before + R_before @ p, np.eye(3)
-        carrier = i
-        if not row.is_joint:
-            carrier, R_end, p_end = parent, R @ R_end, p + R @ p_end
-        ends[row.link] = (carrier, R_end, p_end)
-        body = _Placed(parent, R=R, p=p, axis=axis, anchor=anchor, R_end=R_end, p_end=p_end)
-        placed.append(body)
-    return placed
 
 
 _Pose = tuple[Array, Array, Array, Array, Array]

@@ -1,4 +1,4 @@
-"""Linter: what is wrong with a model file as a model of dynamics.
+"""Linter: mistakes in a model file as a model of dynamics.
 
 A model is loaded as the product loads it; each rule then yields its findings.
 """
@@ -96,6 +96,12 @@ class _Model:
     def moving(self) -> tuple[int, ...]:
         """Indices of the bodies that a joint moves, themselves or through a body above them."""
         return tuple(i for i, link in enumerate(self.robot.tree.carrier) if link >= 0)
+
+    @property
+    def settings(self) -> str:
+        """File of the user that takes what a model file does not hold."""
+        file = self.robot.manifest.manifest_file
+        return "a robot.toml ('sysid-bench init robot')" if file is None else file.name
 
     @property
     def shaped(self) -> Iterator[tuple[int, _Body, BodyExtents]]:
@@ -380,7 +386,8 @@ def _limits(model: _Model) -> Iterator[LintFinding]:
         yield LintFinding(
             "limits", "note", model.robot.joints[without[0]].name,
             f"{len(without)} of {len(moving)} joints have no position limit",
-            "give limits, here or in [limits] of robot.toml; motions are designed within them",
+            f"give limits in {model.robot.manifest.path.name}, or in [limits] of {model.settings}; "
+            "motions are designed within them",
         )  # fmt: skip
 
 
@@ -391,7 +398,7 @@ def _drive_inertia(model: _Model) -> Iterator[LintFinding]:
     if len(armature) >= 2 and not armature.any():
         yield LintFinding(
             "rotor-inertia", "note", "", "no joint has a rotor inertia",
-            "geared drives need it: armature (MJCF), or [joints] armature in robot.toml",
+            f"geared drives need it: armature of an MJCF, or in [joints.all] of {model.settings}",
         )  # fmt: skip
     elif len(armature) > 3 and np.ptp(armature) == 0.0:
         yield LintFinding(

@@ -16,7 +16,6 @@ from sysid_bench.models.data_sets import SCHEME, find_dataset
 from sysid_bench.models.random_robot import random_coupled_robot, random_robot
 from sysid_bench.models.sources import (
     PACKAGES,
-    content_hash,
     is_package_file,
     package_file,
     source_settings,
@@ -190,9 +189,10 @@ class Manifest:
     suppressed: tuple[str, ...] = ()  # findings of lint that are meant to be
     text: str | None = None  # the model itself where there is no file; `path` is then a label
     source: str = ""  # what `find_manifest` finds it by, where that is not one of its files
+    by_path: bool = field(default=False, compare=False)
+    """True for a robot without a name: its seeds come from its model (see `model_record`)."""
     content: str | None = field(default=None, compare=False)
-    """Hash of the files of a robot that was given by a path, from which its seeds come; None for
-    one that has a name."""
+    """Hash of the model from which its seeds come, where that is another one than this."""
 
 
 RANDOM: Final = "random"
@@ -215,13 +215,11 @@ def find_manifest(
     found = replace(_plain_manifest(plain, robots_dir, folder), **settings)
     # A path can be written in many ways: what it leads to makes the robot.
     if plain.startswith(SCHEME):
-        given_by_path = plain.removeprefix(SCHEME) not in package_folders.dataset_files()
+        by_path = plain.removeprefix(SCHEME) not in package_folders.dataset_files()
     else:
         is_other = plain.startswith(f"{RANDOM}:") or is_package_file(plain)
-        given_by_path = not is_other and _is_path(plain)
-    if not given_by_path:
-        return found
-    return replace(found, content=content_hash(found.path, found.manifest_file))
+        by_path = not is_other and _is_path(plain)
+    return replace(found, by_path=by_path)
 
 
 def _is_path(source: str) -> bool:

@@ -31,19 +31,32 @@ def model_record(
     """Return the record of a robot without payload; None for a model that is not here or cannot be
     loaded, whose cells say why."""
     with suppress(SysidBenchError, OSError):
-        manifest = find_manifest(source, robots_dir, folder)
-        free = manifest.free_base if free_base is None else free_base
-        file = cache_folder() / f"{_key(manifest, free)}.model"
-        with suppress(OSError, ValueError):
-            record = parse_json(read_text(file))
-            if isinstance(record, dict) and record.keys() == {"hash", "behaviour"}:
-                return record
-        from sysid_bench.models.behaviour import computed_record  # loads MuJoCo
-
-        record = computed_record(manifest, free)
-        _keep(file, json.dumps(record))
-        return record
+        return _record(find_manifest(source, robots_dir, folder), free_base)
     return None
+
+
+def seed_content(manifest: Manifest, free_base: bool | None = None) -> str | None:
+    """Return what the seeds of a robot without a name are made of, as in suites: the hash of its
+    model, which a comment in a file does not change; None for one that has a name."""
+    if manifest.content is not None or not manifest.by_path:
+        return manifest.content
+    return str(_record(manifest, free_base)["hash"])
+
+
+def _record(manifest: Manifest, free_base: bool | None) -> ModelRecord:
+    """Return the record of a robot, kept or computed; raise SysidBenchError for one that cannot be
+    loaded."""
+    free = manifest.free_base if free_base is None else free_base
+    file = cache_folder() / f"{_key(manifest, free)}.model"
+    with suppress(OSError, ValueError):
+        record = parse_json(read_text(file))
+        if isinstance(record, dict) and record.keys() == {"hash", "behaviour"}:
+            return record
+    from sysid_bench.models.behaviour import computed_record  # loads MuJoCo
+
+    record = computed_record(manifest, free)
+    _keep(file, json.dumps(record))
+    return record
 
 
 def check_name(manifest: Manifest) -> None:
@@ -66,7 +79,8 @@ def check_name(manifest: Manifest) -> None:
 def _key(manifest: Manifest, free: bool) -> str:
     """Hash of all that decides on a record: the manifest, files, this package and its libraries."""
     # Where files lie does not count, except that meshes are looked for around them.
-    stated = repr(replace(manifest, path=Path(), assets=None, manifest_file=None, content=None))
+    anywhere = replace(manifest, path=Path(), assets=None, manifest_file=None)
+    stated = repr(replace(anywhere, content=None, by_path=False))
     files = [] if manifest.text is not None else model_states(str(manifest.path))
     code = source_hash(str(PACKAGE_FOLDER / "models"))
     return canonical_hash([stated, free, files, code, version_fields()])

@@ -189,28 +189,15 @@ def hash_of_files(files: Iterable[Path]) -> dict[Path, str]:
     return {file: digest for digest, file in first.items()}
 
 
-def content_hash(model: Path, manifest: Path | None) -> str:
-    """Return the SHA-256 of a model's file, of the files that it includes and of its robot.toml:
-    the same wherever they lie. Meshes do not count."""
-    found = hashlib.sha256(_model_hash(model).encode())
-    if manifest is not None:
-        found.update(_content(manifest))
-    return found.hexdigest()
-
-
 def _model_hash(file: Path, depth: int = _DEEPEST) -> str:
     """Return the SHA-256 of a model file and of the files that it includes."""
-    found = hashlib.sha256(_content(file))
+    try:
+        found = hashlib.sha256(read_file(file))
+    except ModelError:
+        found = hashlib.sha256()
     for name in _outline(file).included if depth else ():
         found.update(_model_hash(file.parent / name, depth - 1).encode())
     return found.hexdigest()
-
-
-def _content(file: Path) -> bytes:
-    try:
-        return read_file(file)
-    except ModelError:
-        return b""
 
 
 def _outline(file: Path) -> _Outline:

@@ -166,7 +166,12 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
         )
     for metric in layout.metrics:
         yield from _names(cells, layout, metric)
-        yield from _reasons(cells, metric)
+        # Reasons for which cells have no value, with the number of cells of each
+        column = f"{REASONS}.{metric.name}"
+        if column in cells.columns:
+            given = cells.loc[~cells[column].isin(["", "none"]), column].value_counts()
+            for why, n in given.items():
+                yield f"{metric.title}: {n} cells without a value: {why}."
     yield from _missing_repeats(layout, entries)
     # Contents and limits of the intervals of each kind.
     kinds = cells[STD_FROM].unique() if STD_FROM in layout.fields else ()
@@ -201,15 +206,6 @@ def _names(cells: "pd.DataFrame", layout: TableLayout, metric: Metric) -> list[s
     named = cells[~cells[column].isin(["", "none"])].to_dict("records")
     rows = ((" / ".join(str(row[field]) for field in layout.fields), row[column]) for row in named)
     return sorted({f"{place}: {metric.title.lower()}: {names}." for place, names in rows})
-
-
-def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
-    """Reasons for which cells have no value, with the number of cells of each."""
-    column = f"{REASONS}.{metric.name}"
-    if column in cells.columns:
-        given = cells.loc[~cells[column].isin(["", "none"]), column].value_counts()
-        for why, n in given.items():
-            yield f"{metric.title}: {n} cells without a value: {why}."
 
 
 def _missing_repeats(layout: TableLayout, entries: Entries) -> Iterator[str]:

@@ -43,6 +43,8 @@ from sysid_bench.words import (
 
 RUN: Final = "run"
 """Column of lines with the run that they are from: rows of two runs are never paired."""
+CONTENT: Final = "robot_content"
+"""Column of lines of several runs with the hash of their robot's model: what counts as a robot."""
 
 LEFT_OUT_SHARE: Final = 0.9
 """Probability that a range between units holds a new one."""
@@ -115,6 +117,8 @@ def _units(lines: pd.DataFrame, over: str) -> Array:
         return np.arange(len(lines))
     if over not in lines:
         raise MissingRowsError(f"no row has the label {over}")
+    if over == "robot" and CONTENT in lines:
+        return lines[CONTENT].to_numpy(str)
     return lines[over].map(label).to_numpy(str)
 
 

@@ -111,25 +111,6 @@ def _rising(X: Array, columns: Sequence[int]) -> dict[int, tuple[float, bool]]:
     return {i: (float(np.median(steps[:, i])), counts[i]) for i in found}
 
 
-def _derivatives(X: Array, Y: Array, t: Array) -> tuple[Array, Array]:
-    """Return correlation (c, c) and ratio of the distances of columns X (N, c) and of the integrals
-    of Y over t, at the lag of the best agreement: 1 where Y is the derivative of X."""
-    integral = np.zeros_like(Y)
-    integral[1:] = np.cumsum(0.5 * (Y[1:] + Y[:-1]) * np.diff(t)[:, None], axis=0)
-    best, ratio = np.zeros((X.shape[1],) * 2), np.full((X.shape[1],) * 2, np.nan)
-    for lag in (lag for lag in _LAGS if lag <= len(X) // 5):
-        moved, summed = X[lag:] - X[:-lag], integral[lag:] - integral[:-lag]
-        moved, summed = moved - moved.mean(axis=0), summed - summed.mean(axis=0)
-        sizes = np.linalg.norm(moved, axis=0), np.linalg.norm(summed, axis=0)
-        product_of = np.maximum(np.outer(*sizes), 1e-300)
-        correlation = moved.T @ summed / product_of
-        better = correlation > best
-        best[better] = correlation[better]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio[better] = (sizes[0][:, None] / sizes[1][None])[better]
-    return best, ratio
-
-
 @dataclass(frozen=True, eq=False)
 class _Motion:
     """Positions, rates and accelerations among the columns X (N, c): pairs of blocks of k columns,
@@ -156,7 +137,23 @@ class _Motion:
         widths = [joints, *range(joints + 3, joints, -1), *range(joints - 1, (joints - 1) // 2, -1)]
         widths.sort(key=lambda k: (k < joints, -k))
         for second, source in ((False, X), (True, rate)):
-            table = _derivatives(source, X, t)
+            # Correlation (c, c) and ratio of the distances of columns X (N, c) and of the
+            # integrals of Y over t, at the lag of the best agreement: 1 where Y is the derivative
+            # of X
+            integral = np.zeros_like(X)
+            integral[1:] = np.cumsum(0.5 * (X[1:] + X[:-1]) * np.diff(t)[:, None], axis=0)
+            best, ratio = np.zeros((source.shape[1],) * 2), np.full((source.shape[1],) * 2, np.nan)
+            for lag in (lag for lag in _LAGS if lag <= len(source) // 5):
+                moved, summed = source[lag:] - source[:-lag], integral[lag:] - integral[:-lag]
+                moved, summed = moved - moved.mean(axis=0), summed - summed.mean(axis=0)
+                sizes = np.linalg.norm(moved, axis=0), np.linalg.norm(summed, axis=0)
+                product_of = np.maximum(np.outer(*sizes), 1e-300)
+                correlation = moved.T @ summed / product_of
+                better = correlation > best
+                best[better] = correlation[better]
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    ratio[better] = (sizes[0][:, None] / sizes[1][None])[better]
+            table = best, ratio
             for k, stride in product(widths, range(1, 7)):
                 pairs = tuple(_pairs(X, table, frozenset(free), k, stride, k == joints))
                 if pairs:

@@ -1,7 +1,7 @@
 """From the description of a recorded log to a Recording on a uniform grid, with its findings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -64,7 +64,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     Joints that are not in the log stand at their reference; their torque is set to zero and must
     not be used. Raises UsageError for files, columns, units or joints that do not exist.
     """
-    raw = read_samples(description, robot)
+    raw, velocity = _without_constant_velocity(read_samples(description, robot))
     stamps = read_time(description, len(raw))
     invalid = log_checks.check_finite(*raw.measured)
     t, rate, timing = time_base(description, stamps, invalid)
@@ -84,6 +84,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         *_held(*log_checks.held_rows(measured.q[grid.valid], rate)),
         # Time stamps would show lost samples directly.
         *(log_checks.check_samples(samples.q) if stamps is None else []),
+        *velocity,
         *rates[0],
         # Values that are impossible for the joint are contradictions; without them positions
         # outside of the limits are reported.
@@ -103,6 +104,18 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         commands=commands_of(description, raw, grid),
         base=samples.base,
     )
+
+
+def _without_constant_velocity(samples: Samples) -> tuple[Samples, list[Finding]]:
+    """Return the samples without velocities that are constant where all joints move: a column that
+    was never filled; and the finding that says so."""
+    if samples.v is None or len(samples) == 0:
+        return samples, []
+    moves = np.nan_to_num(np.ptp(samples.q, axis=0)) > 0.0
+    if not moves.any() or np.ptp(samples.v[:, moves], axis=0).any():
+        return samples, []
+    text = "v is constant while the joints move: not used, differences of q stand in its place"
+    return replace(samples, v=None), [Finding("velocity", len(samples), text)]
 
 
 def _uniform_grid(log: LogDescription, t: Array, invalid: Array, rate: float) -> Grid:

@@ -194,23 +194,12 @@ def _with_gain(tau: Columns, v: Array, values: Array, others: Sequence[Block]) -
     """Return currents with the gains that the blocks of a controller's own currents and computed
     torques agree on, if there are such."""
     for current, torque in product(others, others):
-        if current.role != "current" or not torque.is_computed:
-            continue
-        i, computed = (values[:, list(block.columns)] for block in (current, torque))
-        if known := drive_gains(i, computed, v):
-            return stated_gain(tau, known, f"{torque.label} over {current.label}")
+        if current.role == "current" and torque.is_computed:
+            i, computed = (values[:, list(block.columns)] for block in (current, torque))
+            if known := drive_gains(i, computed, v):
+                reason = f"{tau.reason}; {known[1]} ({torque.label} over {current.label})"
+                return replace(tau, gain=tuple(known[0]), reason=reason)
     return tau
-
-
-def stated_gain(tau: Columns, known: tuple[Array, Array], quotient: str) -> Columns:
-    """Return currents with known gains and their deviations, from columns that `quotient` names."""
-    gains, deviations = known
-    reason = (
-        f"gain: the controller's own torque over its current, {quotient}, within "
-        f"{100 * deviations.max():.1g} %"
-    )
-    reason = "; ".join(filter(None, (tau.reason, reason)))
-    return replace(tau, gain=tuple(float(f"{x:.4g}") for x in gains), reason=reason)
 
 
 def _has_signal_per_file(tables: Tables) -> bool:

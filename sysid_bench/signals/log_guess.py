@@ -20,7 +20,6 @@ from sysid_bench.signals.log_columns import (
     Tables,
     find_columns,
     stamp_unit,
-    stated_gain,
 )
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.signals.log_keys import GAIN_ADVICE, find_preset, preset_keys
@@ -177,12 +176,9 @@ def _of_preset(file: tuple[str, LogTable], robot: RobotModel, name: str) -> Iter
     if "desired" in preset:
         patterns = (preset["desired"]["current"], preset["desired"]["torque"], preset["v"]["match"])
         current, torque, v = (_matched(table, pattern) for pattern in patterns)
-        known = (
-            drive_gains(current, torque, v) if current.shape == torque.shape == v.shape else None
-        )
-        if known is not None:
-            tau = stated_gain(Columns([], current), known, "columns target_*")
-            yield _GuessedKey("tau", {"gain": list(tau.gain)}, tau.reason)
+        same = current.shape == torque.shape == v.shape
+        if known := drive_gains(current, torque, v) if same else None:
+            yield _GuessedKey("tau", {"gain": known[0]}, known[1])
 
 
 def _matched(table: LogTable, pattern: str) -> Array:

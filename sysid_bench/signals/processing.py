@@ -43,7 +43,20 @@ class Processing:
                 f"{len(recording)} samples are too few for {self.filter}, which spoils {edge} at "
                 "each end."
             )
-        q = _smooth_positions(recording.q, joints, self.filter, rate)
+        # Q (N, nq) filtered; quaternions stay continuous in sign and of unit length
+        q = recording.q
+        q = q.copy()
+        # Columns of each quaternion [w, x, y, z]: of a free joint behind its position.
+        starts = {"free": 3, "ball": 0}
+        first = [joint.qadr + starts[joint.kind] for joint in joints if joint.kind in starts]
+        rotations = [slice(start, start + 4) for start in first]
+        for part in rotations:
+            # q and -q are one rotation; a filter across a change of sign would pass through zero.
+            flips = np.sum(q[1:, part] * q[:-1, part], axis=1) < 0
+            q[1:, part] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, None]
+        q = self.filter.smooth(q, rate)
+        for part in rotations:
+            q[:, part] /= np.linalg.norm(q[:, part], axis=1, keepdims=True)
         v, a = self._derivatives(recording, q, joints)
         tau, wrench = recording.tau, recording.wrench
         if not self.raw_torque:
@@ -112,23 +125,6 @@ def processing_of(spec: Mapping[str, object]) -> Processing:
         raise UsageError(f"torque = {torque!r}: write 'filtered' or 'raw'.")
     filter = filter_of(str(spec.get("filter", "none")))
     return Processing(filter, derivatives == "from q", torque == "raw", derivatives == "from v")
-
-
-def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> Array:
-    """Return q (N, nq) filtered; quaternions stay continuous in sign and of unit length."""
-    q = q.copy()
-    # Columns of each quaternion [w, x, y, z]: of a free joint behind its position.
-    starts = {"free": 3, "ball": 0}
-    first = [joint.qadr + starts[joint.kind] for joint in joints if joint.kind in starts]
-    rotations = [slice(start, start + 4) for start in first]
-    for part in rotations:
-        # q and -q are one rotation; a filter across a change of sign would pass through zero.
-        flips = np.sum(q[1:, part] * q[:-1, part], axis=1) < 0
-        q[1:, part] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, None]
-    q = filter.smooth(q, rate)
-    for part in rotations:
-        q[:, part] /= np.linalg.norm(q[:, part], axis=1, keepdims=True)
-    return q
 
 
 def _rates(q: Array, joints: tuple[Joint, ...], dq: Array) -> Array:

@@ -58,26 +58,26 @@ def scale_contradiction(
     )
 
 
-def drive_gains(current: Array, torque: Array, v: Array) -> tuple[Array, Array] | None:
-    """Return N m per A (k,) with relative deviations (k,) from the currents (N, k) that a
+def drive_gains(current: Array, torque: Array, v: Array) -> tuple[list[float], str] | None:
+    """Return N m per A in each joint, and how that is known, from the currents (N, k) that a
     controller asks for and the torques (N, k) that it computes, at rates v (N, k); None where they
     are not one relation in every joint, friction apart: measured currents carry loads that no model
     has."""
     rows = ~check_finite(current, torque, v)
     gains, deviations = [], []
     for i, tau, rate in zip(current[rows].T, torque[rows].T, v[rows].T, strict=True):
-        steps = np.tanh(rate / _SLIDES)
-        A = np.column_stack([tau, steps, rate, np.ones_like(rate)])
+        A = np.column_stack([tau, np.tanh(rate / _SLIDES), rate, np.ones_like(rate)])
         x = np.linalg.lstsq(A, i, rcond=None)[0]
         if not len(i) or x[0] == 0 or np.var(i - A @ x) > (1 - _ONE_RELATION) * np.var(i):
             return None
         parts = np.array_split(np.arange(len(i)), _PARTS)
         rest = [np.delete(np.arange(len(i)), part) for part in parts]
         slopes = [np.linalg.lstsq(A[kept], i[kept], rcond=None)[0][0] for kept in rest]
-        gains.append(1.0 / x[0])
+        gains.append(float(f"{1.0 / x[0]:.4g}"))
         deviations.append(np.sqrt(_PARTS - 1) * np.std(slopes) / abs(x[0]))  # jackknife
     worst = max(deviations, default=np.inf)
-    return (np.array(gains), np.array(deviations)) if worst < _KNOWN_GAIN else None
+    reason = f"gain: the controller's own torques over its currents, within {100 * worst:.1g} %"
+    return (gains, reason) if worst < _KNOWN_GAIN else None
 
 
 def is_torque_scale(slopes: Array) -> bool:

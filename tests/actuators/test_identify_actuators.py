@@ -203,14 +203,33 @@ def test_commands_that_are_stamped_late_are_reported(folder: Path, smooth: bool)
         assert warned == (late > 0)
 
 
-def test_commands_that_come_too_early_are_reported(folder: Path) -> None:
+@pytest.mark.parametrize("early", [4, 12])
+def test_commands_that_come_too_early_extend_the_delays(folder: Path, early: int) -> None:
     commands = Case(5, delay=0.018).commands()
     pd = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
-    ahead = {name: getattr(commands, name)[:-4] for name in ("q", "kp", "kd")}
-    ahead["q_des"] = commands.q_des[4:]
+    ahead = {name: getattr(commands, name)[:-early] for name in ("q", "kp", "kd")}
+    ahead["q_des"] = commands.q_des[early:]
     log = log_of(ahead, {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": pd}})
-    result = sysid_bench.identify(folder / "leg.xml", task="actuators", log=log)
-    assert any("longest that was tried" in warning for warning in result.warnings)
+    accept = ["worse", "columns", "direction", "gain", "sign"]
+    result = sysid_bench.identify(folder / "leg.xml", task="actuators", log=log, accept=accept)
+    assert isinstance(result, ActuatorsResult)
+    assert not any("longest that was tried" in text for text in result.warnings)
+    assert result.delay == pytest.approx(0.018 + early / RATE, abs=2e-3)
+
+
+def test_a_velocity_column_that_was_never_filled_is_not_used(folder: Path) -> None:
+    commands = Case(5, delay=0.004).commands()
+    pd = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
+    data = {name: getattr(commands, name) for name in ("q", "q_des", "kp", "kd")}
+    keys = {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": pd}}
+    path = folder / "leg.xml"
+    plain = sysid_bench.identify(path, task="actuators", log=log_of(data, keys))
+    data["v"] = np.zeros_like(data["q"])
+    zeros = sysid_bench.identify(
+        path, task="actuators", log=log_of(data, {**keys, "v": {"columns": "v"}})
+    )
+    assert any("v is constant" in warning for warning in zeros.warnings)
+    assert zeros.scores["rollout_error"] == plain.scores["rollout_error"]
 
 
 def test_constant_commands_say_nothing_of_the_delay(folder: Path) -> None:

@@ -136,7 +136,9 @@ def test_further_values_of_several_recordings_have_deviations(leg_file: Path) ->
     assert result.joints["thigh"]["std"]["gain"] > 0.0
     assert result.files is not None
     between = result.files["joints"]["thigh"]["gain"]
-    assert between["low"] < result.joints["thigh"]["gain"] < between["high"]
+    # Legs of other seeds have other friction: only what each file gives is one gain.
+    assert between["mean"] == pytest.approx(TRUTHS["gain"], abs=DEVIATIONS["gain"])
+    assert between["low"] < between["mean"] < between["high"]
     assert MORE_NAMES["gain"] in result.summary()
 
 
@@ -181,5 +183,11 @@ def test_joints_without_motion_and_command_leave_no_warning(
     data["q"][:, joint] = data["q_des"][:, joint] = 0.0
     pd = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "profile"}
     log = sysid_bench.log_of(data, {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": pd}})
-    with pytest.raises(EstimationError, match=JOINTS[joint]):
-        sysid_bench.identify(leg_file, task="actuators", log=[log] * 3, also=also, accept=ACCEPTED)
+    result = sysid_bench.identify(
+        leg_file, task="actuators", log=[log] * 3, also=also, accept=[*ACCEPTED, "worse"]
+    )
+    assert isinstance(result, ActuatorsResult)
+    # Joints with one stated kp have one gain, which those that move give.
+    (gain,) = {one["gain"] for one in result.joints.values()}
+    assert 0.5 < gain < 2.0
+    assert np.isfinite([one["Ia"] for one in result.joints.values()]).all()

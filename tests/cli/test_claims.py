@@ -76,6 +76,18 @@ def test_the_same_claim_of_two_runs_is_tested_once_on_both(stored: Path) -> None
     assert result.claims[0]["value"] == pytest.approx(once.claims[0]["value"])
 
 
+def test_robots_of_several_runs_are_known_by_their_content(stored: Path, tmp_path: Path) -> None:
+    """Two files of one stem are two robots."""
+    second = Path(shutil.copytree(stored / "run", tmp_path / "run"))
+    records = json.loads((second / "models.json").read_text())
+    other = {name: record | {"hash": "0" * 16} for name, record in records.items()}
+    (second / "models.json").write_text(json.dumps(other))
+    same = sysid_bench.claims(stored / "run", stored / "run").claims
+    found = sysid_bench.claims(stored / "run", second).claims
+    assert [claim["count"] for claim in same] == [6, 6, 1, 0]
+    assert [claim["count"] for claim in found] == [6, 6, 2, 0]
+
+
 def test_claims_of_one_name_in_two_suites_stay_apart(stored: Path, tmp_path: Path) -> None:
     second = Path(shutil.copytree(stored / "run", tmp_path / "run"))
     frozen = parse_suite(TESTED.replace('"stored"', '"other"').replace("Data help", "Data rule"))

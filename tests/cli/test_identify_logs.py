@@ -10,8 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from sysid_bench import package_folders
+from sysid_bench.commands.diagnose import check_torque_units
 from sysid_bench.commands.identify import identify
-from sysid_bench.commands.identify_recorded import check_torque_units
 from sysid_bench.commands.main import main
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError
 from sysid_bench.experiments.recorded.process_log import ProcessedLog, lock_manifest

@@ -11,6 +11,7 @@ from sysid_bench.apps.twins.replay import Replay
 from sysid_bench.experiments.spec import noise_seed
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.model_record import seed_content
 from sysid_bench.models.random_robot import random_robot
 
 SPELLED: Final = {"file", "model", "robot", "seconds", "title"}
@@ -85,16 +86,21 @@ def test_a_robot_in_a_copied_folder_gives_the_same_answer(model: Path, tmp_path:
     assert all(one == found[0] for one in found[1:])
 
 
-def test_seeds_follow_the_content(model: Path, tmp_path: Path) -> None:
-    first = find_manifest(str(model)).content
-    part = tmp_path / "part.xml"
-    part.write_text("<mujoco/>", encoding="utf-8")
+def test_seeds_follow_the_model_and_not_the_bytes_of_its_files(model: Path) -> None:
+    """A comment or another indent leaves all numbers as they were."""
     text = model.read_text(encoding="utf-8")
-    including = text.replace("<worldbody", f'<include file="{part}"/><worldbody', 1)
-    model.write_text(including, encoding="utf-8")
-    second = find_manifest(str(model)).content
-    part.write_text("<mujoco><!-- changed --></mujoco>", encoding="utf-8")
-    assert len({first, second, find_manifest(str(model)).content}) == 3
+    first = answer(sysid_bench.identify(model, noise={"tau": "1 %"}))
+    for harmless in (
+        text.replace("<worldbody", "<!-- measured in May -->\n<worldbody", 1),
+        text.replace(">", ">\n  "),
+    ):
+        model.write_text(harmless, encoding="utf-8")
+        assert answer(sysid_bench.identify(model, noise={"tau": "1 %"})) == first
+    seeds = {seed_content(find_manifest(str(model)))}
+    model.write_text(text.replace('mass="', 'mass="1', 1), encoding="utf-8")
+    seeds.add(seed_content(find_manifest(str(model))))
+    assert len(seeds) == 2
+    assert all(seeds)
 
 
 def test_replays_of_a_file_and_of_a_link_to_it_draw_the_same_noise(
@@ -102,11 +108,13 @@ def test_replays_of_a_file_and_of_a_link_to_it_draw_the_same_noise(
 ) -> None:
     spelled = (model, tmp_path / "other" / "link.xml")
     seeds = {noise_seed(Replay(load_robot(str(file)), {}).spec(200.0, 0)) for file in spelled}
+    model.write_text(f"<!-- a comment -->{model.read_text(encoding='utf-8')}", encoding="utf-8")
+    seeds.add(noise_seed(Replay(load_robot(str(model)), {}).spec(200.0, 0)))
     assert len(seeds) == 1
     named = Replay(load_robot("random:3"), {}).spec(200.0, 0)
     assert named.seeded_robot == "random:3"
 
 
 def test_a_named_robot_keeps_its_seeds() -> None:
-    assert not find_manifest("ur5").content
-    assert not find_manifest("random:7").content
+    for name in ("ur5", "random:7"):
+        assert seed_content(find_manifest(name)) is None

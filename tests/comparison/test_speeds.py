@@ -218,3 +218,33 @@ def test_a_baseline_holds_ratios_alone_and_a_slower_part_fails(seed: int) -> Non
     block = lines.index('  "ur5": {')
     assert differing
     assert all(n > block for n in differing)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_ratios_and_noise_are_those_of_their_definition(seed: int) -> None:
+    """Load adds exponential times, of which the least deviates by (n - 1) / (n sqrt 2) of the RMS
+    gap to the second; the typical gap of the run counts as four groups of each part."""
+    rng = np.random.default_rng(seed)
+    measured = {
+        ("ur5", part): np.exp(rng.normal(size=(rng.integers(1, 5), 4)) * spread).tolist()
+        for part, spread in zip(SECONDS, (0.3, 0.02, 0.5, 0.1), strict=True)
+    }
+    logs = {key: np.sort(np.log(groups), axis=1) for key, groups in measured.items()}
+    gaps = {key: table[:, 1] - table[:, 0] for key, table in logs.items()}
+    typical = np.sqrt(2) / np.log(2) * np.median(np.concatenate([*gaps.values()]))
+    middle = np.mean([table[:, 0].mean() for table in logs.values()])
+    found = relative_speed(measured)
+    for key, speed in found.items():
+        groups = len(gaps[key])
+        square = (4 * typical**2 + np.sum(gaps[key] ** 2)) / (4 + groups)
+        assert speed.ratio == pytest.approx(np.exp(logs[key][:, 0].mean() - middle))
+        assert speed.noise == pytest.approx(3 / 4 * np.sqrt(square / 2 / groups))
+        assert speed.count == 4 * groups
+    faster = {key: replace(speed, ratio=speed.ratio / 7.0) for key, speed in found.items()}
+    for one in compare_speed(faster, found):
+        others = [found[key].noise for key in found if key[1] != one.part]
+        error = np.hypot(np.sqrt(2) * found["ur5", one.part].noise,
+                         np.sqrt(2 * np.sum(np.square(others))) / 3)  # fmt: skip
+        if one.robot != ALL:
+            assert one.noise == pytest.approx(error)
+            assert one.factor == pytest.approx(1.0)

@@ -127,3 +127,28 @@ def test_an_infinite_or_missing_number_is_never_within_a_tolerance(a: float, b: 
 def test_a_run_without_a_change_has_none() -> None:
     run = run_of(0.1, -0.02)
     assert not find_difference(run, replace(run)).is_failed
+
+
+@pytest.mark.parametrize(
+    ("names", "kind", "size", "floor"),
+    [
+        (("gap", "closure", "native_gap"), "absolute", 1e-12, 0.0),
+        (("rank_gap",), "ratio", 1e3, 0.0),
+        (("min_eigenvalue",), "ratio", 1.01, 1e-9),
+        (("torque_error", "parameter_error", "condition"), "ratio", 1.01, 1e-11),
+        (("rank", "data_rank", "feasible"), "exact", 0.0, 0.0),
+    ],
+)
+def test_each_kind_of_metric_has_its_limit(
+    names: tuple[str, ...], kind: str, size: float, floor: float
+) -> None:
+    """Just within it nothing has changed, just beyond it there is a change."""
+    for tolerance in (tolerance_of(METRICS[name]) for name in names):
+        assert (tolerance.kind, tolerance.size, tolerance.floor) == (kind, size, floor)
+        for share, is_same in ((0.999, True), (1.001, False)):
+            if kind == "absolute":
+                assert tolerance.holds(0.0, share * size) == is_same
+            if kind == "ratio":
+                assert tolerance.holds(1.0, 1.0 + share * (size - 1.0)) == is_same
+                assert tolerance.holds(0.0, share * floor * size) == (is_same or not floor)
+        assert tolerance.holds(3.0, 4.0) == (kind == "ratio" and size > 2.0)

@@ -1,25 +1,29 @@
 """Mutations of the code itself, drawn by a seed: which of them do the tests of their module miss?
 
-python -m tests.faults.code_mutations comparison --seed 37 --count 25 prints the survivors. A child
-process for each mutation reads the changed module in place of the file and runs the quick tests of
-its group; files on the disk stay as they are. Types are not mutated (annotations, and unions with
-None or a class): they are checked by mypy. No other mutation is left out.
+python -m tests.faults.code_mutations comparison --seed 37 101 --count 25 prints the survivors. A
+child process for each mutation reads the changed module in place of the file, and so do those that
+it starts; files on the disk stay as they are. It runs the tests that call the changed function, the
+quickest first, and those that remain where all of them pass. Types are not mutated (annotations,
+and unions with None or a class): mypy checks them. No other mutation is left out.
 """
 
 import argparse
 import ast
+import json
 import os
 import random
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import suppress
 from copy import deepcopy
 from itertools import chain
 from pathlib import Path
+from types import FrameType
 from typing import Final
 
 import hypothesis
+import pytest
 
 ROOT: Final = Path(__file__).parents[2]
 PACKAGE: Final = ROOT / "sysid_bench"
@@ -153,44 +157,91 @@ loader.get_data, loader.path_stats = get_data, path_stats
 """A process that runs it reads `text` in place of a module, which it has not imported yet."""
 
 
-def survives(file: Path, text: str, tests: list[str], log: Path, seconds: float) -> bool:
-    """True where all tests pass with `text` in place of a module, also in processes that they
-    start."""
+class Calls:
+    """Plug-in of pytest: which tests call which functions of some files, and how long they take."""
+
+    def __init__(self, files: set[str], out: Path) -> None:
+        self.files, self.out = files, out
+        self.found: dict[str, list[tuple[str, int]]] = {}
+        self.seconds: dict[str, float] = {}
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        seen: set[tuple[str, int]] = set()
+
+        def note(frame: FrameType, event: str, argument: object) -> None:
+            if event == "call" and frame.f_code.co_filename in self.files:
+                seen.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
+
+        start = time.perf_counter()
+        sys.setprofile(note)
+        try:
+            return (yield)
+        finally:
+            sys.setprofile(None)
+            self.found[item.nodeid] = sorted(seen)
+            self.seconds[item.nodeid] = time.perf_counter() - start
+
+    def pytest_sessionfinish(self) -> None:
+        quickest = sorted(self.found, key=self.seconds.__getitem__)
+        self.out.write_text(json.dumps({name: self.found[name] for name in quickest}))
+
+
+def passes(change: tuple[Path, str] | Calls, tests: list[str], log: Path, seconds: float) -> bool:
+    """True where all tests pass: with a text in place of a module, also in processes that they
+    start; or as it is, under a plug-in."""
     child = os.fork()
     if child == 0:
         os.setpgid(0, 0)
         output = os.open(log.with_suffix(".log"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(output, 1)
         os.dup2(output, 2)
-        hook = HOOK.format(text=text.encode(), file=str(file))
-        log.mkdir(exist_ok=True)
-        (log / "sitecustomize.py").write_text(hook, encoding="utf-8")
-        os.environ["PYTHONPATH"] = str(log)
-        exec(hook)
-        import pytest
-
+        if not isinstance(change, Calls):
+            hook = HOOK.format(text=change[1].encode(), file=str(change[0]))
+            (log / "sitecustomize.py").write_text(hook, encoding="utf-8")
+            os.environ["PYTHONPATH"] = str(log)
+            exec(hook)
         options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider"]
         options += ["--hypothesis-profile=mutations", "-m", "not long and not tutorial"]
-        os._exit(int(pytest.main([*options, *tests])))
+        plugins = [change] if isinstance(change, Calls) else []
+        os._exit(int(pytest.main([*options, *tests], plugins)))
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
             return os.waitstatus_to_exitcode(status) == 0
-        time.sleep(0.1)
+        time.sleep(0.05)
     with suppress(ProcessLookupError):  # a loop without end is found, too
         os.killpg(child, 9)
         os.waitpid(child, 0)
     return False
 
 
+def callers(file: Path, line: int, calls: dict[str, list[tuple[str, int]]]) -> list[str]:
+    """Tests that call the function or method around a line, the quickest first."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    functions = [part for part in ast.walk(tree) if isinstance(part, ast.FunctionDef)]
+    ranges = [
+        (min([part.lineno, *(one.lineno for one in part.decorator_list)]), part.end_lineno or 0)
+        for part in functions
+    ]
+    around = [(first, last) for first, last in ranges if first <= line <= last]
+    if not around:
+        return []
+    first, last = min(around)  # the outermost: what is defined in it has calls of its own
+    return [
+        test for test, found in calls.items()
+        if any(name == str(file) and first <= number <= last for name, number in found)
+    ]  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("group", choices=GROUPS)
-    parser.add_argument("--seed", type=int, default=37)
+    parser.add_argument("--seed", type=int, nargs="+", default=[37])
     parser.add_argument("--count", type=int, default=25)
     given = parser.parse_args()
-    for name in ["numpy", "scipy.stats", "scipy.linalg", "pandas", "pytest", "mujoco"]:
+    for name in ["numpy", "scipy.stats", "scipy.linalg", "pandas", "mujoco"]:
         __import__(name)
     # The same examples for each mutation, and the first that fails is not made small.
     phases = (hypothesis.Phase.explicit, hypothesis.Phase.generate)
@@ -203,18 +254,29 @@ def main() -> None:
     every = []
     for pattern, _, names in (part.partition(":") for part in code.split()):
         every += [(PACKAGE / pattern, *mutant) for mutant in mutants(PACKAGE / pattern, names)]
-    log, missed, start = Path(f"/tmp/mutation-{given.group}"), 0, time.monotonic()
-    first = every[0][0]
-    assert survives(first, first.read_text(encoding="utf-8"), tests.split(), log, 600.0), log
+    log, start = Path(f"/tmp/mutation-{given.group}"), time.monotonic()
+    log.mkdir(exist_ok=True)
+    plain = Calls({str(file) for file, _, _ in every}, log / "calls.json")
+    assert passes(plain, tests.split(), log, 1800.0), f"tests fail, see {log}.log"
+    calls = json.loads(plain.out.read_text())
     longest = 10.0 + 4.0 * (time.monotonic() - start)
-    for file, what, text in random.Random(given.seed).sample(every, given.count):
-        lives = survives(file, text, tests.split(), log, longest)
-        missed += lives
-        print(f"{'SURVIVES' if lives else 'caught  '} {what}", flush=True)
-    print(
-        f"{given.group}, seed {given.seed}: {given.count - missed} of {given.count} caught "
-        f"(of {len(every)} mutations)"
-    )
+    for seed in given.seed:
+        missed = 0
+        for file, what, text in random.Random(seed).sample(every, given.count):
+            first = callers(file, int(what.split(":")[1]), calls)
+            # What starts in a fixture belongs to all tests: those that pass are followed by all.
+            lives = all(
+                passes((file, text), chosen, log, longest)
+                for chosen in (first, tests.split())
+                if chosen
+            )
+            missed += lives
+            print(f"{'SURVIVES' if lives else 'caught  '} {what}", flush=True)
+        print(
+            f"{given.group}, seed {seed}: {given.count - missed} of {given.count} caught "
+            f"(of {len(every)} mutations)",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -5,11 +5,26 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
+
+
+def suite_of(methods: Iterable[str], defaults: str = "", robot: str = 'use = "scara"') -> str:
+    """A suite of one short experiment; `methods`: the keys of each [[estimator]]."""
+    head = f"""
+        schema = 1
+        name = "one"
+        [defaults]
+        excitation = {{ use = "fourier", harmonics = 3, period = "2 s" }}
+        held_out = ["ptp"]
+        {defaults}
+        [[robot]]
+        {robot}
+        """
+    return head + "".join(f"[[estimator]]\n{keys}\n" for keys in methods)
 
 
 def left_behind(token: str) -> list[str]:

@@ -1,5 +1,6 @@
 """Law: a method gives the same row, bit for bit, in a process of its own as beside the truth."""
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -8,8 +9,11 @@ import pytest
 
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.harness.work import blind_process
 from sysid_bench.harness.work.confinement import ISOLATION
 from sysid_bench.words import MACHINE_FIELDS
+
+from .runners import suite_of
 
 HERE = Path(__file__).parent
 METHODS = (
@@ -21,24 +25,14 @@ OWN = MACHINE_FIELDS | {"id", "estimator", "fingerprint", "sources"}
 
 
 def suite(settings: str, robot: str, methods: tuple[str, ...]) -> Any:
-    text = f"""
-        schema = 1
-        name = "blind"
-        [defaults]
-        excitation = {{ use = "fourier", harmonics = 3, period = "2 s" }}
-        held_out = ["ptp"]
-        prior = {{ mass = "20 %" }}
-        noise = {{ tau = "1 %" }}
-        rate = "100 Hz"
-        {settings}
-        [[robot]]
-        {robot}
-        """
+    defaults = (
+        f'prior = {{ mass = "20 %" }}\nnoise = {{ tau = "1 %" }}\nrate = "100 Hz"\n{settings}'
+    )
+    pairs = []
     for name in methods:
         own = f"file:{HERE}/every_method.py:{name.replace('-', '_')}"
-        text += f'[[estimator]]\nuse = "{name}"\n'
-        text += f'[[estimator]]\nuse = "{own}"\nlabel = "blind {name}"\n'
-    return parse_suite(text, folder=HERE)
+        pairs += [f'use = "{name}"', f'use = "{own}"\nlabel = "blind {name}"']
+    return parse_suite(suite_of(pairs, defaults, robot), folder=HERE)
 
 
 def check(out: Path, settings: str, robot: str, methods: tuple[str, ...]) -> set[str]:
@@ -76,3 +70,20 @@ def test_rows_without_namespaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     """As on systems that have none."""
     monkeypatch.setenv(ISOLATION, "process")
     assert check(tmp_path, CLOSED_LOOP, 'use = "scara"', ("ols", "cloe")) == {"ok"}
+
+
+def test_what_a_method_returns_beside_its_estimate_has_a_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever reads a run reads all its rows; both ends of the process name the limit."""
+    keys = f'use = "file:{HERE}/every_method.py:Talkative"\nlabel = "{{0}} bytes"\nsize = {{0}}'
+    text = suite_of(keys.format(size) for size in (900_000, 1_100_000))
+    rows = run(parse_suite(text, folder=HERE), tmp_path, jobs=1).folder.rows().rows.values()
+    few, many = sorted(rows, key=lambda row: str(row["estimator"]), reverse=True)
+    assert few["status"] == "ok"
+    assert many["status"] == "failed"
+    assert "1.1 MB; 1 MB are stored" in many["reason"]
+    monkeypatch.setattr(blind_process, "_LONGEST", 1000)
+    ((message),) = blind_process._messages(io.BytesIO(b"{" + b" " * 2000))
+    assert "more than 0 MB" in message["error"][1]
+    assert "'stats'" in message["error"][1]

@@ -27,6 +27,7 @@ from sysid_bench.harness.work.confinement import ISOLATION
 from sysid_bench.words import MACHINE_FIELDS
 
 from . import cheats
+from .runners import suite_of
 
 FILE = Path(cheats.__file__)
 IN_MEMORY = ("Heap", "Frames", "References")
@@ -58,36 +59,27 @@ def port(tmp_path: Path) -> Iterator[int]:
         os.close(descriptor)
 
 
+def sealed_plant(folder: Path) -> Path:
+    """Write a sealed plant and its seed; return the file of the seed."""
+    (folder / "sealed.toml").write_text(f'schema = 1\nsealed = "{SEAL}"\neffects = []\n')
+    (folder / "seeds.txt").write_text(f"{SECRET}\n")
+    return folder / "seeds.txt"
+
+
 def rows_with(
     folder: Path, names: tuple[str, ...], port: int, plant: str = '"matched"'
 ) -> dict[str, dict[str, Any]]:
     """Rows of `ols`, the cheats and an honest method on one experiment, by label."""
     folder.mkdir(exist_ok=True)
-    seeds, out = folder / "seeds.txt", folder / "run"
-    seeds.write_text(f"{SECRET}\n")
-    (folder / "sealed.toml").write_text(f'schema = 1\nsealed = "{SEAL}"\neffects = []\n')
-    text = f"""
-        schema = 1
-        name = "cheats"
-        [defaults]
-        excitation = {{ use = "fourier", harmonics = 3, period = "2 s" }}
-        held_out = ["ptp"]
-        noise = {{ tau = "1 %" }}
-        plant = {plant}
-        [[robot]]
-        use = "scara"
-        [[estimator]]
-        use = "ols"
-        """
+    seeds, out = sealed_plant(folder), folder / "run"
+    methods = ['use = "ols"']
     for name in (*names, "Honest"):
-        text += f"""
-        [[estimator]]
-        use = "file:{FILE}:{name.partition(chr(32))[0]}"
-        label = "{name}"
-        run = "{out}"
-        seeds = "{seeds}"
-        port = {0 if name == "Preload 2" else port}
-        """
+        own = 0 if name == "Preload 2" else port
+        methods += [
+            f'use = "file:{FILE}:{name.partition(" ")[0]}"\nlabel = "{name}"\nrun = "{out}"\n'
+            f'seeds = "{seeds}"\nport = {own}'
+        ]
+    text = suite_of(methods, f'noise = {{ tau = "1 %" }}\nplant = {plant}')
     stored = run(parse_suite(text, folder=folder), out, jobs=1).folder.rows()
     assert stored.garbled == ()
     return {row["estimator"]: row for row in stored.rows.values()}
@@ -192,11 +184,7 @@ def test_data_that_lead_to_the_truth_cannot_be_sent() -> None:
 
 
 def _prepared() -> Any:
-    suite = parse_suite(
-        'schema = 1\nname = "one"\n[defaults]\nexcitation = "ptp"\nheld_out = ["ptp"]\n'
-        '[[robot]]\nuse = "scara"\n[[estimator]]\nuse = "ols"\n',
-        folder=Path(),
-    )
+    suite = parse_suite(suite_of(['use = "ols"']), folder=Path())
     (cell,) = cells_of_suite(suite).cells
     return prepare(*load_experiment(job_of([cell], suite, None)))
 
@@ -257,25 +245,14 @@ HOOK == "import" and look()
 PLACES = ("import", "subclass", "signature", "constructor")
 
 
-def suite_of_hooks(folder: Path, plant: str = '"file:sealed.toml"', more: str = "") -> str:
+def suite_of_hooks(folder: Path, plant: str = '"file:sealed.toml"') -> str:
     """A suite whose methods look for the secret where their code runs first."""
-    (folder / "seeds.txt").write_text(f"{SECRET}\n")
-    (folder / "sealed.toml").write_text(f'schema = 1\nsealed = "{SEAL}"\neffects = []\n')
-    text = f"""
-        schema = 1
-        name = "hooks"
-        [defaults]
-        excitation = {{ use = "fourier", harmonics = 3, period = "2 s" }}
-        held_out = ["ptp"]
-        plant = {plant}
-        [[robot]]
-        use = "scara"
-        """
+    seeds = sealed_plant(folder)
     for place in PLACES:
-        head = f"SEEDS, HOOK = {str(folder / 'seeds.txt')!r}, {place!r}\n"
+        head = f"SEEDS, HOOK = {str(seeds)!r}, {place!r}\n"
         (folder / f"{place}.py").write_text(head + HOOKS)
-        text += f'[[estimator]]\nuse = "file:{place}.py:Method"\nlabel = "{place}"\n'
-    return text + more
+    methods = [f'use = "file:{place}.py:Method"\nlabel = "{place}"' for place in PLACES]
+    return suite_of(methods, f"plant = {plant}")
 
 
 @pytest.mark.parametrize("plant", ['"file:sealed.toml"', '"matched"'])
@@ -321,7 +298,7 @@ def test_beside_seeds_no_other_code_of_others_runs(
     metric += 'Own = Metric("own", "Own", compute=own)\n'
     (tmp_path / "metric.py").write_text(metric)
     more = '[[metric]]\nuse = "file:metric.py:Own"\n'
-    (tmp_path / "suite.toml").write_text(suite_of_hooks(tmp_path, more=more))
+    (tmp_path / "suite.toml").write_text(suite_of_hooks(tmp_path) + more)
     monkeypatch.setenv(SEEDS, str(tmp_path / "seeds.txt"))
     rows = run(str(tmp_path / "suite.toml"), tmp_path / "run", jobs=1).folder.rows().rows.values()
     assert {row["status"] for row in rows} == {"failed"}
@@ -336,8 +313,7 @@ def test_beside_seeds_no_other_code_of_others_runs(
 
 def test_a_plan_that_names_more_than_its_suite_runs_it_blind(tmp_path: Path) -> None:
     """A run folder of somebody else: its plan has a method that its suite does not have."""
-    text = suite_of_hooks(tmp_path, '"matched"').partition("[[estimator]]")[0]
-    (tmp_path / "suite.toml").write_text(f'{text}[[estimator]]\nuse = "ols"\n')
+    (tmp_path / "suite.toml").write_text(suite_of(['use = "ols"']))
     suite = load_suite(tmp_path / "suite.toml")
     cells = cells_of_suite(suite).cells
     hidden = replace(cells[0], estimator={"use": f"file:{FILE}:Heap"})
@@ -353,9 +329,7 @@ def test_files_of_the_working_folder_replace_no_library(tmp_path: Path) -> None:
         (tmp_path / f"{name}.py").write_text('open("ran", "a").write(__name__)\n1 / 0\n')
     (tmp_path / "own.pth").write_text('import os; open("ran", "a").write("pth")\n')
     (tmp_path / "mine.py").write_text("from tests.faults.cheats import Honest\n")
-    text = suite_of_hooks(tmp_path, '"matched"').partition("[[estimator]]")[0]
-    text += '[[estimator]]\nuse = "ols"\n[[estimator]]\nuse = "mine:Honest"\n'
-    (tmp_path / "suite.toml").write_text(text)
+    (tmp_path / "suite.toml").write_text(suite_of(['use = "ols"', 'use = "mine:Honest"']))
     command = [str(Path(sys.executable).with_name("sysid-bench")), "run", "suite.toml", "-o", "run"]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run(

@@ -268,6 +268,9 @@ def test_a_kill_between_the_files_loses_nothing(
     run.write_frames()
     assert_reads_all(run)
     assert not litter.exists()
+    litter.touch()
+    run.write_frames()  # also where no row is new
+    assert not litter.exists()
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -133,3 +133,48 @@ def test_a_cell_depends_on_its_model_and_on_every_plugin_file(tmp_path: Path) ->
     (tmp_path / "arm.urdf").unlink()
     forget()
     assert cell_fingerprint(cell, None, tmp_path) == ""
+
+
+@pytest.mark.parametrize("gone", [0, 1, 2])
+def test_a_model_that_is_gone_leaves_no_fingerprint(gone: int, tmp_path: Path) -> None:
+    """At once, whatever this process has read before."""
+    files = [tmp_path / name for name in ("a.xml", "b.xml", "c.xml")]
+    for file in files:
+        file.write_text("<mujoco/>")
+    assert fingerprint(files, ())
+    files[gone].unlink()
+    assert fingerprint(files, ()) == ""
+
+
+LOG = """file = "{}.csv"
+rate = "50 Hz"
+joints = ["j1"]
+q = {{ columns = [1] }}
+tau = {{ columns = [2] }}
+"""
+RECORDED = """schema = 1
+name = "recorded"
+[[log]]
+robot = "file:arm.urdf"
+train = ["run.toml"]
+test = ["other.toml"]
+[[estimator]]
+use = "ols"
+"""
+
+
+def test_a_recorded_cell_depends_on_its_recordings(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    for name in ("run", "other"):
+        (tmp_path / f"{name}.csv").write_text("1,2\n" * 9)
+        (tmp_path / f"{name}.toml").write_text(LOG.format(name))
+    suite = parse_suite(RECORDED, "suite.toml", tmp_path, NAMES)
+    (cell,) = cells_of_suite(suite, NAMES).cells
+    seen = {cell_fingerprint(cell, None, tmp_path)}
+    for name in ("run.toml", "run.csv", "other.toml", "other.csv", "arm.urdf"):
+        with (tmp_path / name).open("a") as file:
+            file.write("\n")
+        forget()
+        seen.add(cell_fingerprint(cell, None, tmp_path))
+    assert len(seen) == 6
+    assert "" not in seen

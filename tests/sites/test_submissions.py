@@ -167,6 +167,16 @@ def test_an_honest_submission_with_its_own_method_is_accepted(few: Path, tmp_pat
     check = checked(few)
     assert check.ok
     assert len(check.cells) == 4
+    # On a page with the run of somebody else, unless it lies about its robots.
+    folder = copied(few, tmp_path / "again")
+    made = site([few], tmp_path / "site", [folder], seed=1, jobs=1)
+    assert made.ok
+    (entry,) = json.loads((tmp_path / "site" / "leaderboard.json").read_text())["suites"]
+    assert len(entry["runs"]) == 2
+    records = json.loads((folder / "models.json").read_text())
+    false = {name: record | {"hash": "0" * 16} for name, record in records.items()}
+    (folder / "models.json").write_text(json.dumps(false))
+    assert checked(folder).planned == [*RunFolder.open(few).planned]
     # Merged of runs of two machines, it has the digest of its own rows.
     merge([few, copied(few, tmp_path / "other")], tmp_path / "merged")
     shutil.copy(few / "mine.py", tmp_path / "merged")
@@ -190,7 +200,7 @@ def test_a_robot_of_a_known_name_is_refused(few: Path, tmp_path: Path) -> None:
         file.write_text(re.sub(r'mass value="[0-9.]+"', 'mass value="9"', file.read_text()))
     ids = RunFolder.open(folder).planned
     check = checked(folder)
-    assert check.planned == [*ids]
+    assert list(check.refused.values()) == [[*ids]]
     assert "give it another name" in check.summary()
     assert ids[0] in check.summary()
     # Under a name of its own it is another suite version, and its plan is not that of the rows.
@@ -244,7 +254,7 @@ def test_rows_of_another_machine_are_found(few: Path, tmp_path: Path) -> None:
     folder = changed(few, tmp_path / "run", {own}, elsewhere)
     shutil.copy(few / "mine.py", folder)
     check = checked(folder)
-    assert check.elsewhere == [own]
+    assert check.refused == {"rows of other versions than env.json states": [own]}
     assert not check.ok
     # With env.json of its own run, the digest is that of other rows.
     (folder / "env.json").write_bytes((few / "env.json").read_bytes())
@@ -262,8 +272,9 @@ def test_a_hidden_plug_in_is_refused_and_not_run(few: Path, tmp_path: Path) -> N
     metric = f'metric = [{{ use = "file:hidden.py:Own", {record} }}]'
     suite.write_text(honest.replace("metric = []", metric, 1))
     check = checked(folder)
-    assert check.beside == ["metric file:hidden.py:Own"]
-    assert check.beside_cells == [*ids]
+    ((why, cells),) = check.refused.items()
+    assert "(metric file:hidden.py:Own)" in why
+    assert cells == [*ids]
     assert ids[0] in check.summary()
     # In the plan alone: a method of its own under the label of another.
     suite.write_text(honest)
@@ -289,8 +300,8 @@ def test_sealed_cells_need_their_seed(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.delenv("SYSID_BENCH_SEEDS")
     with pytest.raises(UsageError) as error:
         checked(folder)
-    assert "4 cells of the draw are of a sealed plant" in str(error.value)
-    assert "SYSID_BENCH_SEEDS=FILE" in str(error.value)
+    assert f"The plant is sealed ({seal[:12]}...)" in str(error.value)
+    assert "checks it with SYSID_BENCH_SEEDS = the file" in str(error.value)
 
 
 @pytest.mark.long

@@ -1,4 +1,5 @@
-"""Bounded least squares of actuators: armature and friction are not negative, joint by joint.
+"""Bounded least squares of actuators: armature and friction are not negative, joint by joint, nor
+below a share of those of the model file.
 
 Deviations come from the residuals of blocks of the recording, whose correlation and unequal size
 they hold (Carlstein, Annals of Statistics 14(3), 1986).
@@ -14,6 +15,8 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.apps.actuators.drive_rows import DriveRows
+from sysid_bench.evaluation.intervals import likelihood_drop
+from sysid_bench.numerics import correlation_time
 from sysid_bench.types import Array
 
 SIGNED: Final = 3
@@ -21,6 +24,12 @@ SIGNED: Final = 3
 
 BLOCK: Final = 0.5
 """s; residuals of neighbouring blocks count as independent."""
+
+SHARES: Final = (1.0, 0.3, 0.1, 0.01)
+"""Of the least values: files may be wrong by any factor, and a drive is still not without them."""
+
+MISFIT: Final = 0.05
+"""Share of the residuals that decides nothing: most of them is misfit of the model, not noise."""
 
 BLOCKS: Final = 8
 """Least number of blocks, of shorter recordings."""
@@ -30,13 +39,18 @@ BLOCKS: Final = 8
 class Group:
     """Joints (indices) that share armature and friction; each has its own offset. `A` (m n, 3 + m)
     holds the rows of its m joints below one another. Of `more` unknowns they share the load's
-    friction, behind the third column, and the gain, behind that; each has its own bias, at last.
-    `armature` (2, m): values of tables of motors and their deviations (None: of none of them)."""
+    friction, behind the third column; each has its own bias, at last. `armature` (2, m): values of
+    tables of motors and their deviations (None: of none of them). `links` (m n,): torque of the
+    links where the gain is unknown, `gain` its value and the deviation of 1 / gain, which
+    `gain_profile` finds. `low` (3,): least armature and friction (None: zero)."""
 
     joints: tuple[int, ...]
     A: Array
     more: tuple[str, ...] = ()
     armature: Array | None = None
+    links: Array | None = None
+    gain: tuple[float, float] = (1.0, 0.0)
+    low: Array | None = None
 
     @property
     def nonnegative(self) -> int:
@@ -44,19 +58,23 @@ class Group:
         return SIGNED + ("load" in self.more)
 
     def columns(self, i: int) -> list[int]:
-        """Return the columns of the i-th joint's unknowns: those of UNKNOWNS, then `more`."""
-        shared = [name for name in self.more if name != "bias"]
-        own = SIGNED + len(shared) + i
-        further = [
-            own + len(self.joints) if name == "bias" else SIGNED + shared.index(name)
-            for name in self.more
-        ]
-        return [*range(SIGNED), own, *further]
+        """Return the columns of the i-th joint's unknowns: those of UNKNOWNS, then `more` but for
+        the gain."""
+        own = self.nonnegative + i
+        of = {"load": SIGNED, "bias": own + len(self.joints)}
+        return [*range(SIGNED), own, *(of[name] for name in self.more if name in of)]
 
     @property
     def samples(self) -> int:
         """Samples n of each joint."""
         return len(self.A) // len(self.joints)
+
+    @property
+    def lowest(self) -> Array:
+        """Least values (c,) of the columns of A, over the gain, zero for those without a bound."""
+        least = np.zeros(self.A.shape[1])
+        least[:SIGNED] = 0.0 if self.low is None else self.low / self.gain[0]
+        return least
 
     @cached_property
     def factors(self) -> tuple[Array, Array]:
@@ -89,8 +107,8 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Values (k, 4) in the order of UNKNOWNS, their deviations, which of them lie on the bound of
-    zero, and residuals (N, k); values and deviations (k, e) of `more` unknowns, the factors
+    """Values (k, 4) in the order of UNKNOWNS, their deviations, which of them lie on their
+    lower bound, and residuals (N, k); values and deviations (k, e) of `more` unknowns, the factors
     (k, 4 + e) of all columns, and the covariance (k, 4 + e, 4 + e) of each joint's values.
     `penalty`: sum of the squared distances to the armatures of tables, in their deviations."""
 
@@ -121,7 +139,10 @@ def group_joints(rows: DriveRows, shared: Sequence[str]) -> tuple[Group, ...]:
     groups = []
     for joints in members:
         armature = None if rows.armature is None else rows.armature[:, joints]
-        groups.append(Group(joints, _stacked(rows, joints), rows.more, armature))
+        links = rows.links[:, joints].T.ravel() if "gain" in rows.more else None
+        low = None if rows.low is None else rows.low[list(joints)].mean(axis=0)
+        A = _stacked(rows, joints)
+        groups.append(Group(joints, A, rows.more, armature, links, low=low))
     return tuple(groups)
 
 
@@ -133,11 +154,11 @@ def holds(name: str, word: str) -> bool:
 def _stacked(rows: DriveRows, joints: tuple[int, ...]) -> Array:
     """Return the rows of some joints below one another, each with its own constant."""
     own, first = np.eye(len(joints)), SIGNED + 1
-    shared = [first + rows.more.index(name) for name in rows.more if name != "bias"]
+    shared = [first + rows.more.index(name) for name in rows.more if name == "load"]
     parts = []
     for i, j in enumerate(joints):
         columns = [rows.features[:, j][:, [*range(SIGNED), *shared]]]
-        columns.append(np.tile(own[i], (len(rows.features), 1)))
+        columns.append(rows.features[:, j, [SIGNED]] * own[i])
         if "bias" in rows.more:
             columns.append(rows.features[:, j, [first + rows.more.index("bias")]] * own[i])
         parts.append(np.hstack(columns))
@@ -154,24 +175,24 @@ def bounded_fit(
     values, factors = np.zeros((2, tau.shape[1], count))
     covariances = np.zeros((tau.shape[1], count, count))
     residuals, penalty = np.empty_like(tau), 0.0
+    at_bound = np.zeros((tau.shape[1], SIGNED + 1), dtype=bool)
     for group in groups:
         b = tau[:, group.joints].T.ravel()
+        if group.links is not None:
+            b = b - (1.0 / group.gain[0] - 1.0) * group.links
         Q, R = group.factors
         P, p, _ = group.prior(scale)
         # |R x - Q'b| and |A x - b| have one minimum.
-        x, free = solve_bounded(
-            np.concatenate([R, P]), np.concatenate([Q.T @ b, p]), group.nonnegative
-        )
+        x, free = _above_least(group, b, np.concatenate([R, P]), np.concatenate([Q.T @ b, p]), rate)
         r = b - group.A @ x
         covariance = _covariance(group, r, free, rate, scale)
         penalty += group.prior_cost(x[0]) if len(p) else 0.0
         for i, j in enumerate(group.joints):
             own = group.columns(i)
-            factors[j] = x[own]
-            values[j], covariances[j] = _physical(x[own], covariance[np.ix_(own, own)], group.more)
+            factors[j], whole = _with_gain(group, x[own], covariance[np.ix_(own, own)], own)
+            values[j], covariances[j] = _physical(factors[j], whole, group.more)
             residuals[:, j] = r[i * group.samples : (i + 1) * group.samples]
-    # The offset has either sign: zero does not bound it.
-    at_bound = (values[:, : SIGNED + 1] == 0.0) & (np.arange(SIGNED + 1) != SIGNED)
+            at_bound[j, :SIGNED] = ~np.isin(np.arange(SIGNED), free)
     std = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     (own_values, more), (own_std, more_std) = (
         np.split(x, [SIGNED + 1], axis=1) for x in (values, std)
@@ -189,21 +210,57 @@ def bounded_fit(
     )
 
 
+def _above_least(group: Group, b: Array, A: Array, a: Array, rate: float) -> tuple[Array, Array]:
+    """Return x (c,) of the least |A x - a|, and the indices of those that are not on a bound: that
+    of the group, or a smaller one where the residuals of its rows `b` decide against it."""
+    x, free = solve_bounded(A, a, group.nonnegative)
+    low = group.lowest
+    if (x >= low)[:SIGNED].all():
+        return x, free
+
+    def loss(x: Array, counts: Array) -> float:
+        squares = ((b - group.A @ x).reshape(len(group.joints), -1) ** 2).mean(axis=1)
+        return float(counts @ np.log(np.maximum(squares, 1e-24)))
+
+    counts = independent_samples((b - group.A @ x).reshape(len(group.joints), -1).T, rate)
+    least = loss(x, counts)
+    for share in SHARES:
+        moved, inner = solve_bounded(A, a - A @ (share * low), group.nonnegative)
+        moved = moved + share * low
+        if loss(moved, counts) - least <= max(likelihood_drop(), 2.0 * MISFIT * counts.sum()):
+            return moved, inner
+    return x, free
+
+
+def _with_gain(
+    group: Group, x: Array, covariance: Array, own: Sequence[int]
+) -> tuple[Array, Array]:
+    """Return the factors (4 + e,) of a joint and their covariance with 1 / gain - 1 among them."""
+    if group.links is None:
+        return x, covariance
+    gain, std = group.gain
+    place = SIGNED + 1 + group.more.index("gain")
+    # What the others change by where the gain is another one.
+    moved = -np.linalg.lstsq(group.A, group.links, rcond=None)[0][list(own)]
+    moved[np.diagonal(covariance) == 0.0] = 0.0
+    whole = np.insert(np.insert(covariance, place, 0.0, axis=0), place, 0.0, axis=1)
+    slope = np.insert(moved, place, 1.0)
+    return np.insert(x, place, 1.0 / gain - 1.0), whole + std**2 * np.outer(slope, slope)
+
+
 def _physical(x: Array, covariance: Array, more: Sequence[str]) -> tuple[Array, Array]:
     """Return values and their covariance for factors x (4 + e,): both sides were divided by the
     gain, so that its own factor is 1 / gain - 1."""
+    if "gain" not in more:
+        return x, covariance
     # Delta method: `slopes` are the derivatives of the values by the factors.
-    slopes, values = np.eye(len(x)), x.copy()
-    # Commands without any torque leave the gain open: it is infinite, and all values with it.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if "gain" in more:
-            g = SIGNED + 1 + more.index("gain")
-            gain = np.divide(1.0, 1.0 + x[g])
-            values, slopes = gain * x, gain * slopes
-            slopes[:, g] -= gain * values
-            values[g], slopes[g] = gain, 0.0
-            slopes[g, g] = -(gain**2)
-        return values, slopes @ covariance @ slopes.T
+    g = SIGNED + 1 + more.index("gain")
+    gain = 1.0 / (1.0 + x[g])
+    values, slopes = gain * x, gain * np.eye(len(x))
+    slopes[:, g] -= gain * values
+    values[g], slopes[g] = gain, 0.0
+    slopes[g, g] = -(gain**2)
+    return values, slopes @ covariance @ slopes.T
 
 
 def solve_bounded(A: Array, b: Array, bounded: int = SIGNED) -> tuple[Array, Array]:
@@ -227,6 +284,23 @@ def solve_bounded(A: Array, b: Array, bounded: int = SIGNED) -> tuple[Array, Arr
             best = np.zeros(count)
             best[free] = x
     return best, best_free
+
+
+LAGS: Final = 0.5
+"""s over which the correlation of residuals is summed."""
+
+
+def independent_samples(residuals: Array, rate: float) -> Array:
+    """Return the number (k,) of independent samples in residuals (N, k) at a rate (Hz): N over
+    their correlation time, summed over LAGS or a quarter of the recording."""
+    N = len(residuals)
+    centred = residuals - residuals.mean(axis=0)
+    longest = max(min(int(LAGS * rate), N // 4) - 1, 0)
+    # Rows of a joint that sticks have a residual of zero, and count as none.
+    counts = np.maximum(np.count_nonzero(residuals, axis=0), 1)
+    return np.array([
+        n / correlation_time(x, longest) for n, x in zip(counts, centred.T, strict=True)
+    ])  # fmt: skip
 
 
 def _covariance(group: Group, r: Array, free: Array, rate: float, scale: Array | None) -> Array:

@@ -12,14 +12,23 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.apps.actuators.bounded_fit import SIGNED, Fit, Group, bounded_fit
+from sysid_bench.apps.actuators.bounded_fit import (
+    SIGNED,
+    Fit,
+    Group,
+    bounded_fit,
+    independent_samples,
+)
 from sysid_bench.apps.actuators.drive_rows import DriveRows
 from sysid_bench.evaluation.intervals import likelihood_drop
-from sysid_bench.numerics import correlation_time
 from sysid_bench.types import Array
 
 LONGEST: Final = 0.02
 """s, of the delays that are tried at rates from 100 Hz on."""
+
+MOST: Final = 0.2
+"""s, up to which they are extended while the longest one fits best: radio links and cameras are
+below it."""
 
 SAMPLES: Final = 2.0
 """Longest of them at lower rates, in samples."""
@@ -33,9 +42,6 @@ FLAT: Final = 1e-6
 
 FINE: Final = 501
 """Points of a piece among which the best delay is sought: 0.01 ms at 200 Hz."""
-
-LAGS: Final = 0.5
-"""s over which the correlation of residuals is summed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +66,10 @@ class DelayProfile:
         return bool(len(self.delays) > 1 and self.best >= self.delays[-1])
 
 
-def delay_grid(rate: float) -> Array:
-    """Return delays (d,) up to LONGEST or SAMPLES samples, half a sample apart: five or more."""
-    return np.arange(0.0, max(LONGEST, SAMPLES / rate) + 1e-9, 0.5 / rate)
+def delay_grid(rate: float, longest: float = LONGEST) -> Array:
+    """Return delays (d,) up to a longest (s) or SAMPLES samples, half a sample apart: five or
+    more."""
+    return np.arange(0.0, max(longest, SAMPLES / rate) + 1e-9, 0.5 / rate)
 
 
 def delay_profile(
@@ -113,15 +120,6 @@ def _loss(errors: Array, counts: Array) -> Array:
     """Return twice the loss of log-likelihood (...) of RMS residuals (..., k): the scale of a
     joint's residuals is unknown, so that its log-likelihood is -n/2 log of their square."""
     return np.asarray((counts * np.log(np.maximum(errors, 1e-12) ** 2)).sum(axis=-1))
-
-
-def independent_samples(residuals: Array, rate: float) -> Array:
-    """Return the number (k,) of independent samples in residuals (N, k) at a rate (Hz): N over
-    their correlation time, summed over LAGS or a quarter of the recording."""
-    N = len(residuals)
-    centred = residuals - residuals.mean(axis=0)
-    longest = max(min(int(LAGS * rate), N // 4) - 1, 0)
-    return np.array([N / correlation_time(x, longest) for x in centred.T])
 
 
 def _lowest(piece: Array, fits: Sequence[Fit], counts: Array) -> tuple[float, float]:
@@ -200,7 +198,7 @@ def delay_information(
         x = np.linalg.lstsq(group.A, c, rcond=None)[0]
         rest = c - group.A @ x
         for i, j in enumerate(group.joints):
-            direction[j] = x[group.columns(i)[: SIGNED + 1]]
+            direction[j] = group.gain[0] * x[group.columns(i)[: SIGNED + 1]]
             left[:, j] = rest[i * group.samples : (i + 1) * group.samples]
     # In units of the residuals: a share below them does not separate the delay from the others.
     scale = np.maximum(fit.errors, 1e-12)

@@ -2,21 +2,28 @@
 parameters from the scatter between repeated recordings."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from sysid_bench.apps.actuators.bounded_fit import Fit, Group, bounded_fit, group_joints
+from sysid_bench.apps.actuators.bounded_fit import (
+    Fit,
+    Group,
+    bounded_fit,
+    group_joints,
+    independent_samples,
+)
 from sysid_bench.apps.actuators.delay_profile import (
+    MOST,
     DelayInformation,
     DelayProfile,
     delay_grid,
     delay_information,
     delay_profile,
-    independent_samples,
 )
 from sysid_bench.apps.actuators.drive_rows import DriveRows
+from sysid_bench.apps.actuators.gain_profile import GainProfile, gain_profiles, with_gains
 from sysid_bench.apps.actuators.rollout import Drives
 from sysid_bench.evaluation.intervals import coverage_factor
 from sysid_bench.types import Array
@@ -28,7 +35,8 @@ ROUNDS: Final = 3
 @dataclass(frozen=True, eq=False)
 class DriveEstimate:
     """Actuators of the joints of `rows` in `groups` that share values: the fit at the `delay` (s);
-    where that was unknown, its profile, and how far it is separated from armature and damping."""
+    where that was unknown, its profile, and how far it is separated from armature and damping;
+    where gains were unknown, their profiles."""
 
     rows: DriveRows
     groups: tuple[Group, ...]
@@ -36,6 +44,7 @@ class DriveEstimate:
     delay: float
     profile: DelayProfile | None = None
     separation: DelayInformation | None = None
+    gains: tuple[GainProfile, ...] = ()
 
     @property
     def drives(self) -> Drives:
@@ -53,7 +62,7 @@ class DriveEstimate:
     @property
     def parameters(self) -> int:
         """Number of values: those that joints share count once."""
-        return sum(group.A.shape[1] for group in self.groups)
+        return sum(int(group.A.shape[1]) for group in self.groups) + len(self.gains)
 
     @property
     def rank(self) -> int:
@@ -116,6 +125,23 @@ def identify_drives(
     `delays` (s): the best is one of them; None: it may lie between those of `delay_grid`.
     """
     groups = group_joints(rows, shared)
+    if "gain" not in rows.more:
+        return _identify(rows, groups, delay, delays)
+    # A delay moves the torque of commands, and hardly that of the links, which decides on gains:
+    # each is found at the other one, and once more.
+    at = delay or 0.0
+    while True:
+        gains = gain_profiles(rows, groups, at, by_group=bool(shared))
+        found = replace(_identify(rows, with_gains(groups, gains), delay, delays), gains=gains)
+        if at == found.delay or at:
+            return found
+        at = found.delay
+
+
+def _identify(
+    rows: DriveRows, groups: tuple[Group, ...], delay: float | None, delays: Array | None
+) -> DriveEstimate:
+    """Return the actuators of groups, whose gains are known."""
     if delay is not None:
         fit = bounded_fit(groups, rows.torque(delay), rows.rate)
         if rows.armature is not None:
@@ -123,6 +149,9 @@ def identify_drives(
         return DriveEstimate(rows, groups, fit, delay)
     grid = delay_grid(rows.rate) if delays is None else delays
     profile, scale = delay_profile(rows, groups, grid, between=delays is None), None
+    while delays is None and profile.on_edge and grid[-1] < MOST:
+        grid = delay_grid(rows.rate, 2.0 * float(grid[-1]))
+        profile = delay_profile(rows, groups, grid)
     if rows.armature is not None:
         # How much a table weighs beside the data depends on the residuals, which a first fit
         # without tables gives.
@@ -152,10 +181,7 @@ def identify_recordings(
         return found
     for _ in range(ROUNDS):
         # Gravity is not linear in the bias: the column is its slope at the last one.
-        bias = found.other_values["bias"]
-        if not np.isfinite(bias).all():  # an open gain leaves it open as well
-            return found
-        found = identify_drives(rows_at(bias), shared, delay)
+        found = identify_drives(rows_at(found.other_values["bias"]), shared, delay)
     return found
 
 

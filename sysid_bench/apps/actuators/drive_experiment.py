@@ -13,7 +13,13 @@ import numpy as np
 from sysid_bench.apps.actuators.bounded_fit import SIGNED
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives
 from sysid_bench.apps.actuators.drive_part import DrivePart, drive_manifest, known_delay, read_part
-from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows, drive_rows, pooled_rows
+from sysid_bench.apps.actuators.drive_rows import (
+    UNKNOWNS,
+    DriveRows,
+    drive_rows,
+    model_values,
+    pooled_rows,
+)
 from sysid_bench.apps.actuators.rollout import FITTED, Drives, missing_simulation, rollout_error
 from sysid_bench.errors import (
     SimulationError,
@@ -27,7 +33,6 @@ from sysid_bench.evaluation.score import base_parameters, data_figures, score_re
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.input_files import read_text
 from sysid_bench.models.manifest import Manifest
-from sysid_bench.models.robot import RobotModel
 from sysid_bench.numerics import qr_factor
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.types import (
@@ -303,19 +308,15 @@ def prepare_drives(
     problem = drive_problem(found.rows, found.delay, kinds)
     values, published = _prior_values(prior, fits[0], logs[0], joints)
     if values is not None:
-        problem = replace(problem, prior=_wide_prior(values))
+        # Prior around values (k, 4) of drives
+        theta = values.ravel()
+        # A value of zero is not known exactly: a deviation of zero would exclude all others.
+        least = 1e-3 * np.tile(np.maximum(np.abs(values).max(axis=0), 1e-3), len(values))
+        problem = replace(problem, prior=Prior(theta, np.maximum(WIDE * np.abs(theta), least)))
     test_rows = {name: rows_of(part) for name, part in judged.items()}
     held_out = {name: drive_problem(x, found.delay, kinds) for name, x in test_rows.items()}
     source = DriveSource(fits, judged, found, published)
     return ExperimentData(robot, problem, _experiment(problem, fits[0]), held_out, source)
-
-
-def _wide_prior(values: Array) -> Prior:
-    """Prior around values (k, 4) of drives."""
-    theta = values.ravel()
-    # A value of zero is not known exactly: a deviation of zero would exclude all others.
-    least = 1e-3 * np.tile(np.maximum(np.abs(values).max(axis=0), 1e-3), len(values))
-    return Prior(theta, np.maximum(WIDE * np.abs(theta), least))
 
 
 def _prior_values(
@@ -331,13 +332,6 @@ def _prior_values(
     if prior != "model":
         raise unknown_name("prior of actuators", prior, ("model", "none", f"{PUBLISHED}NAME"))
     return model_values(part.robot, joints), None
-
-
-def model_values(robot: RobotModel, joints: Sequence[str]) -> Array:
-    """Return the values (k, 4) of the model file."""
-    terms, dofs = robot.joint_terms, [robot.rows.index(joint) for joint in joints]
-    stated = [terms.armature, terms.viscous, terms.coulomb, terms.offset]
-    return np.stack([x[dofs] for x in stated], axis=1)
 
 
 def _experiment(problem: Problem, part: DrivePart) -> Experiment:

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import EstimationError, UsageError, first_names
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.filter import Filter, derivative, filter_of
@@ -113,6 +113,17 @@ SMOOTHING: Final = 0.02
 ACCURACY: Final = 4
 """Order of differences: those of order 2 raise the armature by 3 % for motion at 10 Hz."""
 
+MOVING: Final = 0.9
+"""Least size of the smooth sign(v) of a row that is used: a joint that sticks has any torque up to
+its friction, which no row of this equation gives."""
+
+FEWEST: Final = 100
+"""Moving rows of a joint without which all of its rows are used."""
+
+LEAST: Final = 0.1
+"""Least armature and viscous friction, over those of the model file: no drive is without them, and
+on recorded legs, where zero fits as well, a tenth costs no accuracy."""
+
 SAME_RATE: Final = 0.01
 """Relative difference of rates that clocks may have."""
 
@@ -123,7 +134,9 @@ class DriveRows:
     rate (Hz), and the torque of the `links` (N, k), at positions moved by `bias` (k,; None: zero).
     `torque`: delay of the commands (s) -> torque without that of the links
     (N, k); a measured torque has no delay. `armature` (2, k): that of tables of motors and its
-    deviation, NaN where there is none; None for none at all."""
+    deviation, NaN where there is none; None for none at all. `gains` (k,): joints of one number
+    have one stated kp. `low` (k, 3): least armature and friction. Rows in which a joint sticks are
+    zero."""
 
     joints: tuple[str, ...]
     rate: float
@@ -133,6 +146,8 @@ class DriveRows:
     more: tuple[str, ...] = ()
     bias: Array | None = None
     armature: Array | None = None
+    gains: tuple[int, ...] = ()
+    low: Array | None = None
 
 
 def drive_rows(
@@ -162,23 +177,62 @@ def drive_rows(
     rigid = _known_torque(robot, motion, joints)
     friction = _friction_direction(recording.q[:, q], recording.rate)[used]
     measured: Array = filtered.tau[:, list(map(recording.rows.index, joints))] - rigid
-    commands = _commands_of(robot, log, joints, rows)
+    commands, weights = _commands_of(robot, log, joints, rows), _weights(friction)
+    stated = np.zeros((1, len(joints)))
+    if commands is not None:
+        stated = commands.kp[:1]
+        if "gain" in more:
+            _check_direction(commands)
 
     def torque(delay: float) -> Array:
         if commands is None:  # a measured torque has no delay
-            return measured
-        return np.asarray(low_pass.smooth(commands.torque(delay), commands.rate)[used] - rigid)
+            return np.asarray(weights * measured)
+        tau = low_pass.smooth(commands.torque(delay), commands.rate)[used]
+        return np.asarray(weights * (tau - rigid))
 
     return DriveRows(
         joints=tuple(joints),
         rate=recording.rate,
-        features=_features(robot, motion, joints, friction, rigid, more),
-        links=rigid,
+        features=weights[:, :, None] * _features(robot, motion, joints, friction, rigid, more),
+        links=weights * rigid,
         torque=torque,
         more=tuple(more),
         bias=bias,
         armature=None if commands is None else commands.armature,
+        gains=tuple(np.unique(stated, return_inverse=True)[1].ravel().tolist()),
+        low=LEAST * model_values(robot, joints)[:, :3] * [1.0, 1.0, 0.0],
     )
+
+
+def model_values(robot: RobotModel, joints: Sequence[str]) -> Array:
+    """Return the values (k, 4) of the model file, in the order of UNKNOWNS."""
+    terms, dofs = robot.joint_terms, [robot.rows.index(joint) for joint in joints]
+    stated = [terms.armature, terms.viscous, terms.coulomb, terms.offset]
+    return np.stack([x[dofs] for x in stated], axis=1)
+
+
+def _check_direction(commands: Commands) -> None:
+    """Raise EstimationError for joints that move against their commands, which no gain explains."""
+    q, q_des = (x - x.mean(axis=0) for x in (commands.q, commands.q_des))
+    size = np.sqrt((q**2).sum(axis=0) * (q_des**2).sum(axis=0))
+    # Half of the motion: a joint that only sags, or hangs on a stop, says nothing of a sign.
+    against = (q * q_des).sum(axis=0) < -0.5 * size
+    if (against & (size > 0.0)).any():
+        names = [name for name, x in zip(commands.joints, against, strict=True) if x]
+        raise EstimationError(
+            f"--also gain: no gains fit to {first_names(names)}, which moves against its commands. "
+            "Check the signs of q and q_des (sysid-bench diagnose)."
+        )
+
+
+def _weights(friction: Array) -> Array:
+    """Return the weights (N, k) of rows: zero where a joint sticks. The others have one that keeps
+    the number of rows, so that a mean over all of them is one over those that move."""
+    moving = np.abs(friction) > MOVING
+    count = moving.sum(axis=0)
+    # At rest alone, friction and offset are one number, which all rows give.
+    moving[:, count < FEWEST] = True
+    return np.asarray(moving * np.sqrt(len(moving) / np.maximum(moving.sum(axis=0), 1)))
 
 
 def _features(

@@ -47,6 +47,7 @@ def written_mjcf(robot: RobotModel, drives: Drives, commands: Commands) -> str:
             "An MJCF holds no friction that grows with the load; take the values from --json."
         )
     commands = drives.apply(commands)
+    limits = torque_limits(robot, commands)
     if robot.format != "mjcf":
         raise UnsupportedError(
             f"{robot.manifest.path.name} is a URDF, which has no armature and no actuators; "
@@ -65,7 +66,7 @@ def written_mjcf(robot: RobotModel, drives: Drives, commands: Commands) -> str:
             kp=float(commands.kp[-1, j]),
             kd=float(commands.kd[-1, j]),
             offset=float(drives.values[j, 3]),
-            limit=float(commands.limit[j]),
+            limit=float(limits[j]),
             delay=max(delay - SHORTER, 0.0),
             samples=samples,
         )
@@ -73,6 +74,28 @@ def written_mjcf(robot: RobotModel, drives: Drives, commands: Commands) -> str:
     ]
     path = robot.manifest.path
     return with_position_actuators(update_mjcf(path, {}, joints), actuators, path.name)
+
+
+def torque_limits(robot: RobotModel, commands: Commands) -> Array:
+    """Return the largest torques (k,): those of the recording, else of the joints or of the
+    actuators of the model file; infinite where none of them states one."""
+    dofs = [robot.rows.index(joint) for joint in commands.joints]
+    limits = np.where(np.isfinite(commands.limit), commands.limit, robot.limits.tau[dofs])
+    if robot.format != "mjcf" or np.isfinite(limits).all():
+        return limits
+    motor = int(mujoco.mjtBias.mjBIAS_NONE)
+    # The actuators themselves are left out of a robot, whose inputs are torques.
+    for one in mujoco.MjSpec.from_file(str(robot.manifest.path)).actuators:
+        if one.target not in commands.joints:
+            continue
+        low, high = one.forcerange
+        if low >= high and one.biastype == motor:
+            low, high = np.array(one.ctrlrange) * one.gainprm[0]
+        # A range [-a, b] holds for either sign only up to the smaller one.
+        largest, j = abs(one.gear[0]) * min(-low, high), commands.joints.index(one.target)
+        if largest > 0.0 and not np.isfinite(limits[j]):
+            limits[j] = largest
+    return limits
 
 
 def replay_positions(file: Path, commands: Commands, rows: slice) -> Array:
@@ -122,10 +145,6 @@ def settings_text(
     physics steps (s)."""
     # Outward: randomisation should cover the whole interval. 1e-9: a delay of whole steps stays.
     lags = int(np.floor(delay[0] / step + 1e-9)), int(np.ceil(delay[1] / step - 1e-9))
-    return {"mjlab": _mjlab(joints, lags, step), "isaaclab": _isaaclab(joints, lags, step)}
-
-
-def _mjlab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: float) -> str:
     lines = [f"# mjlab; lags in physics steps of {1e3 * step:g} ms", "actuators = ("]
     for name, one in joints.items():
         effort = "" if np.isinf(one.limit) else f" effort_limit={one.limit:.6g},"
@@ -138,7 +157,7 @@ def _mjlab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: flo
             f"        delay_min_lag={lags[0]}, delay_max_lag={lags[1]},",
             "    ),",
         ]
-    return "\n".join([*lines, ")"])
+    return {"mjlab": "\n".join([*lines, ")"]), "isaaclab": _isaaclab(joints, lags, step)}
 
 
 def _isaaclab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: float) -> str:

@@ -12,6 +12,7 @@ from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise
+from sysid_bench.models.model_record import seed_content
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_data import log_of
 from sysid_bench.signals.log_description import LogDescription
@@ -57,7 +58,7 @@ class Replay:
         return ExperimentSpec(
             seed=seed,
             robot=self.robot.name,
-            content=self.robot.manifest.content,
+            content=seed_content(self.robot.manifest),
             payload="none",
             task="robot",
             terms=(),

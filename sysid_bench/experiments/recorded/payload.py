@@ -265,7 +265,14 @@ def recorded_payload(
         for slope in np.nan_to_num(_scale_slopes(problem, each)).T
     ]
     std, freedom = jackknife_std(np.array(fits))
-    reach = _reach(std**2, freedom, scale.variance(np.array(slopes)))
+    # Half of the length (k,) of intervals with a variance (k,) of some degrees of freedom, and
+    # one that is known
+    variance = std**2
+    other = scale.variance(np.array(slopes))
+    total, least = variance + other, np.finfo(float).tiny
+    freedoms = freedom * (np.maximum(total, least) / np.maximum(variance, least)) ** 2
+    factors = np.array([coverage_factor(f) for f in freedoms])
+    reach = np.asarray(factors * np.sqrt(total))
     intervals = _intervals(centre, reach, known)
     return RecordedPayload(found, intervals, by_joint, scale)
 
@@ -319,15 +326,6 @@ def _shares_by_joint(problem: Problem, load: Array, own: Sequence[int]) -> Array
     columns[np.arange(n), :, np.arange(n)] = load
     others = np.delete(np.eye(r), own, axis=1)
     return _scale_slopes(problem, [np.hstack([others, one]) for one in columns])[-n:]
-
-
-def _reach(variance: Array, freedom: int, other: Array) -> Array:
-    """Half of the length (k,) of intervals with a variance (k,) of some degrees of freedom, and one
-    that is known."""
-    total, least = variance + other, np.finfo(float).tiny
-    freedoms = freedom * (np.maximum(total, least) / np.maximum(variance, least)) ** 2
-    factors = np.array([coverage_factor(f) for f in freedoms])
-    return np.asarray(factors * np.sqrt(total))
 
 
 def _identified(method: Any, part: Problem) -> Array:

@@ -187,7 +187,14 @@ def unknowns_of(
             f"The task {task!r} of a recording uses the torques of joints; the sensor {sensor!r} "
             "needs --task wrench."
         )
-    _check_torques(definition, training)
+    # Raise UsageError for a log without torques
+    for log in training:
+        if not log.log.description.has_torque:
+            raise UsageError(
+                f"{log.log.description.source} has no torques, which the task {definition.name!r} "
+                "needs: write tau = { columns = [...] }, or identify what is distal to the sensor "
+                "with --task wrench."
+            )
     robot, loaded = _robots(definition, training)
     rows, words = training[0].log.joints, words_of_features(terms, robot)
     inertial = columns_of(unknown_bodies(robot))
@@ -214,17 +221,6 @@ def _task_of_recordings(task: str) -> TaskDefinition:
             f"{' and '.join(map(repr, served))}."
         )
     return definition
-
-
-def _check_torques(task: TaskDefinition, training: Sequence[ProcessedLog]) -> None:
-    """Raise UsageError for a log without torques."""
-    for log in training:
-        if not log.log.description.has_torque:
-            raise UsageError(
-                f"{log.log.description.source} has no torques, which the task {task.name!r} "
-                "needs: write tau = { columns = [...] }, or identify what is distal to the sensor "
-                "with --task wrench."
-            )
 
 
 def _sensor_unknowns(

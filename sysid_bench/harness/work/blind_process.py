@@ -181,7 +181,12 @@ class BlindMethod:
 def _messages(pipe: IO[bytes]) -> Iterator[dict[str, Any]]:
     """Yield JSON objects; a method may write other lines into its pipe, which are left out."""
     with contextlib.suppress(OSError, ValueError):
-        while (line := pipe.readline(_LONGEST)) and line.endswith(b"\n"):
+        while line := pipe.readline(_LONGEST):
+            if not line.endswith(b"\n"):  # cut off, here or by the end of the process
+                if len(line) == _LONGEST:
+                    reason = f"its answer has more than {_LONGEST / 1e6:.0f} MB, which is not read"
+                    yield {"error": ["failed", f"{reason}; let it return less in 'stats'", ""]}
+                return
             with contextlib.suppress(ValueError, RecursionError):
                 message = json.loads(line)
                 if isinstance(message, dict):

@@ -42,7 +42,6 @@ _CAPABILITIES: Final = 64
 _CAPABILITY_VERSION: Final = 0x20080522
 _SHARED: Final = "/dev/shm"
 """Memory that processes share by name: empty, and of the namespace alone."""
-_entered = False
 
 
 def wanted_isolation() -> str:
@@ -60,11 +59,6 @@ def method_environment(folder: str, environment: Mapping[str, str] = os.environ)
     return {**kept, "TMPDIR": folder, "HOME": folder}
 
 
-def is_confined() -> bool:
-    """True where `confine` gave this process namespaces of its own."""
-    return _entered
-
-
 def confine(folder: str, hidden: Iterable[str], wanted: str = NAMESPACES) -> str:
     """Go on in a confined process, which can write to `folder` alone and to which the paths
     `hidden` are empty; return its isolation.
@@ -76,14 +70,14 @@ def confine(folder: str, hidden: Iterable[str], wanted: str = NAMESPACES) -> str
         return PROCESS
     kill_with(os.getppid())
     libc = ctypes.CDLL(None, use_errno=True)
-    global _entered
+    isolation = PROCESS
     paths = tuple(filter(os.path.exists, {*hidden, *_sockets(), "/dev/pts"}))
     if wanted == NAMESPACES and _can_enter(libc, folder, paths):
         _enter_namespaces(libc, folder, paths)
         _fork_inside(libc)
-        _entered = True
+        isolation = NAMESPACES
     _drop_capabilities(libc)
-    return NAMESPACES if _entered else PROCESS
+    return isolation
 
 
 def _sockets() -> Iterator[str]:

@@ -13,7 +13,8 @@ from sysid_bench.apps.actuators.drive_estimate import (
     repeat_covariance,
 )
 from sysid_bench.apps.actuators.drive_experiment import rollout_fields
-from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, DriveRows
+from sysid_bench.apps.actuators.drive_rows import LEAST, UNKNOWNS, DriveRows
+from sysid_bench.apps.actuators.gain_profile import GainProfile
 from sysid_bench.commands.identify_result import IdentifyResult
 from sysid_bench.commands.result import OMIT_NONE
 from sysid_bench.errors import SHOWN, first_names
@@ -26,6 +27,14 @@ CONFOUNDED: Final = (
     "delay and armature cannot be separated from this recording; record one more run with kd halved"
 )
 SILENT: Final = "the commands do not change, so they say nothing of the delay"
+RATIOS: Final = (
+    "these recordings do not determine the gain, so that all values are ratios to the stated kp: "
+    "postures under more gravity, a known mass at the tool (payload), or measured torques would"
+)
+"""Of position commands alone."""
+BACKLASH: Final = (
+    "of which backlash is at most all: position commands do not separate it from Coulomb friction"
+)
 MORE_NAMES: Final = {
     "gain": "torque over that of the stated gains",
     "bias": "position less that of the encoder (rad, m)",
@@ -54,7 +63,10 @@ class ActuatorsResult(IdentifyResult):
     `files`: mean, deviation between files and 95 % interval of a new file. `judged`: recordings,
     periods and errors of the rollout. `covariance`: of each joint's values and the delay, between
     files from three on. `motors`: of joints that name one, its `name`, and `armature` with `std`, a
-    prior of the fit. `configurations`: texts for "mjlab" and "isaaclab".
+    prior of the fit. `gains` (with `also`): {joints, gain over the stated one, low, high;
+    determined} of joints that share one. `lost_motion` (rad, m): {joint: {width of the hysteresis
+    between position and command, 2 fc / kp; std}}. `configurations`: texts for "mjlab" and
+    "isaaclab".
     """
 
     delay: float
@@ -69,6 +81,8 @@ class ActuatorsResult(IdentifyResult):
     judged: list[dict[str, Any]]
     seconds: float
     motors: dict[str, dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
+    gains: list[dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
+    lost_motion: dict[str, dict[str, float]] | None = field(default=None, metadata=OMIT_NONE)
 
     def summary(self) -> str:
         """Values of the joints, delay, what is confounded or on a bound, ranges, rollout."""
@@ -87,10 +101,22 @@ class ActuatorsResult(IdentifyResult):
             share = "     -" if error is None else f"{100 * error:5.1f}%"
             lines.append(f"  {name:18} {values}  {position}  {share}")
         lines.append(f"  ±: one standard deviation, {self.std_limit}")
-        for term in (term for term in self.terms if term in MORE_NAMES):
+        for term in (term for term in self.terms if term in MORE_NAMES and term != "gain"):
             texts = [f"{name} {_value_text(joint, term)}" for name, joint in self.joints.items()]
             lines.append(f"  {MORE_NAMES[term]}: {', '.join(texts)}")
+        lines += [*map(gain_text, self.gains or ()), *self._lost_motion_lines()]
         return "\n".join([*lines, *self._source_lines(), *self._closing_lines()])
+
+    def _lost_motion_lines(self) -> Iterator[str]:
+        """Width of the hysteresis of each joint."""
+        widest = sorted((self.lost_motion or {}).items(), key=lambda item: -item[1]["width"])
+        texts = [
+            f"{name} {1e3 * one['width']:.3g} ± {1e3 * one['std']:.1g}"
+            for name, one in widest[:SHOWN]
+        ]
+        if texts:
+            more = "" if len(widest) <= SHOWN else "; others: --json"
+            yield f"  lost motion 2 fc / kp in mrad (mm), {BACKLASH}: {', '.join(texts)}{more}"
 
     def _delay_lines(self) -> Iterator[str]:
         """The delay, and what is confounded with it."""
@@ -128,7 +154,10 @@ class ActuatorsResult(IdentifyResult):
         named = [f"{name}.{x}" for name, joint in self.joints.items() for x in joint["at_bound"]]
         if named:
             against = "; they trade against the delay" if self.confounded else ""
-            yield f"  on the bound of zero, so no estimates: {first_names(named, SHOWN)}{against}"
+            yield (
+                "  on the lower bound, zero or a tenth of the model file's, so no estimates: "
+                f"{first_names(named, SHOWN)}{against}"
+            )
         if self.files is not None:
             yield (
                 f"  between {self.files['count']} files, each fitted by itself: median deviation "
@@ -190,8 +219,19 @@ def _written_line(written: Mapping[str, Any]) -> str:
 
 def _value_text(joint: Mapping[str, Any], term: str) -> str:
     if term in joint["at_bound"]:
-        return "bound"
+        return f"{joint[term]:.3g} (bound)"
     return f"{joint[term]:.3g} ± {joint['std'][term]:.1g}"
+
+
+def gain_text(one: Mapping[str, Any]) -> str:
+    """Return the line of the gain of joints that share one."""
+    names = first_names(one["joints"], SHOWN)
+    if not one["determined"]:
+        return f"  gain of {names}: {RATIOS}"
+    return (
+        f"  {MORE_NAMES['gain']}: {one['gain']:.3g} ({one['low']:.3g} to {one['high']:.3g}), one "
+        f"of {names}"
+    )
 
 
 def _percent(joints: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
@@ -246,6 +286,30 @@ def motor_fields(log: Log, found: DriveEstimate) -> dict[str, dict[str, Any]]:
         joint: {"name": names[joint], "armature": float(value), "std": float(std)}
         for joint, value, std in zip(found.rows.joints, *prior, strict=True)
         if np.isfinite(value)
+    }
+
+
+def gain_fields(profiles: Sequence[GainProfile], joints: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the gains with their intervals by the names of their joints."""
+    return [
+        {
+            "joints": [joints[j] for j in one.joints],
+            "gain": one.gain,
+            "low": _finite(one.interval[0]),
+            "high": _finite(one.interval[1]),
+            "determined": not one.is_open,
+        }
+        for one in profiles
+    ]
+
+
+def lost_motion_fields(found: DriveEstimate, kp: Array) -> dict[str, dict[str, float]]:
+    """Return the widths of the hysteresis between position and command for the last kp (k,)."""
+    acting = kp * found.other_values.get("gain", np.ones(len(kp)))
+    width, std = 2.0 * found.fit.values[:, 2] / acting, 2.0 * found.fit.std[:, 2] / acting
+    return {
+        name: {"width": float(w), "std": float(s)}
+        for name, w, s in zip(found.rows.joints, width, std, strict=True)
     }
 
 
@@ -321,19 +385,25 @@ def _between(singles: Sequence[DriveRows], fits: Sequence[DriveEstimate]) -> dic
         for j, name in enumerate(joints)
     }
     words = dict(zip(UNKNOWNS[:SIGNED], ("armature", "damping", "frictionloss"), strict=True))
+    held = np.any([x.fit.at_bound for x in fits], axis=0)
+
+    def range_of(j: int, term: str) -> list[float]:
+        """Range of an attribute of MJCF, cut at zero; of a value on its bound to the file's."""
+        low, high = (by_joint[joints[j]][term][end] for end in ("low", "high"))
+        i = UNKNOWNS.index(term)
+        if held[j, i] and singles[0].low is not None:
+            high = max(high, float(singles[0].low[j, i]) / LEAST)
+        return [max(low, 0.0), max(high, 0.0)]
+
     return {
         "covariance": covariance_fields(joints, repeat_covariance(usual, delays)),
         "count": len(fits),
         "share": confidence_level(),
         "joints": by_joint,
         "delay": {key: float(x) for key, x in _ranges(delays).items()},
-        # Attributes of MJCF joints, cut at zero.
         "mjcf": {
-            name: {
-                word: [max(of_joint[term][end], 0.0) for end in ("low", "high")]
-                for term, word in words.items()
-            }
-            for name, of_joint in by_joint.items()
+            name: {word: range_of(j, term) for term, word in words.items()}
+            for j, name in enumerate(joints)
         },
     }
 

@@ -17,8 +17,10 @@ from sysid_bench.apps.actuators.commands.actuators_result import (
     covariance_fields,
     delay_fields,
     file_fields,
+    gain_fields,
     joint_fields,
     judged_result,
+    lost_motion_fields,
     motor_fields,
 )
 from sysid_bench.apps.actuators.drive_estimate import (
@@ -26,7 +28,7 @@ from sysid_bench.apps.actuators.drive_estimate import (
     identify_drives,
     identify_recordings,
 )
-from sysid_bench.apps.actuators.drive_experiment import model_values, position_baselines
+from sysid_bench.apps.actuators.drive_experiment import position_baselines
 from sysid_bench.apps.actuators.drive_part import (
     DrivePart,
     drive_manifest,
@@ -38,14 +40,17 @@ from sysid_bench.apps.actuators.drive_rows import (
     UNKNOWNS,
     DriveRows,
     drive_rows,
+    model_values,
     pooled_rows,
 )
+from sysid_bench.apps.actuators.gain_profile import stated_gains
 from sysid_bench.apps.actuators.rollout import FITTED, missing_simulation, simulated_positions
 from sysid_bench.apps.actuators.written_model import (
     JointSettings,
     largest_difference,
     replay_positions,
     settings_text,
+    torque_limits,
     written_mjcf,
 )
 from sysid_bench.commands.identify import WORSE, Identify
@@ -53,7 +58,7 @@ from sysid_bench.commands.identify_result import REPORTED
 from sysid_bench.commands.result import file_text
 from sysid_bench.commands.write_model import check_files, check_output_files, format_of
 from sysid_bench.diagnosis.finding import WARNING, Finding
-from sysid_bench.errors import EstimationError, UnsupportedError, UsageError, unknown_name
+from sysid_bench.errors import UnsupportedError, UsageError, first_names, unknown_name
 from sysid_bench.evaluation.baselines import FILE, ZERO, ZERO_TORQUE, Baselines
 from sysid_bench.evaluation.torque_errors import known_rms, loaded_joints, rms
 from sysid_bench.experiments.recorded.model_prior import MODEL
@@ -67,8 +72,8 @@ from sysid_bench.signals.position_control import DELAY
 from sysid_bench.types import Array
 
 METHOD: Final = "bounded least squares"
-LARGEST_GAIN: Final = 1e3
-"""A torque further above that of the stated gains is not a matter of their values."""
+MISSTATED: Final = 2.0
+"""Factor by which stated gains are named wrong: within it torque constants and links may be."""
 REPEATED: Final = 1e-6
 """rad, m; a written file whose simulated positions differ by more is not the identified robot."""
 NO_USE: Final = (
@@ -82,8 +87,8 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
     """Identify armature, friction, offset and, where it is unknown, the delay of commands.
 
     Raises UsageError for descriptions, files, names or options that cannot be used and for
-    contradictions in the data that `accept` does not name, EstimationError for gains that are not
-    positive.
+    contradictions in the data that `accept` does not name, EstimationError for unknown gains of
+    joints that move against their commands.
     """
     _check_options(request)
     training, tests = request.recordings()
@@ -107,7 +112,6 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
         return [drive_rows(p.robot, p.log, joints, p.rows, more, bias) for p in parts]
 
     found = identify_recordings(lambda b: pooled_rows(single_rows(b)), request.share, delay)
-    _check_gains(found)
     # Judged on what was not fitted: residuals of the fit say little of a rollout.
     errors = _DriveErrors(found, judged)
     result = ActuatorsResult(
@@ -171,23 +175,6 @@ def _check_targets(request: Identify, robot: RobotModel) -> Path | None:
             "from --json."
         )
     return model_out
-
-
-def _check_gains(found: DriveEstimate) -> None:
-    """Raise EstimationError for gains of no drive: a drive pulls towards its command, by a torque
-    that is not far larger than the stated one."""
-    gains = found.other_values.get("gain", np.ones(len(found.rows.joints)))
-    wrong = [
-        f"{joint} {gain:.3g}"
-        for joint, gain in zip(found.rows.joints, gains, strict=True)
-        if not 0.0 < gain < LARGEST_GAIN
-    ]
-    if wrong:
-        raise EstimationError(
-            f"--also gain: the gains that fit are not those of a drive ({', '.join(wrong)}): these "
-            "torques do not follow from the stated commands, kp and kd. Leave gain out, share it "
-            "between joints (--share), or check the signs of q and q_des."
-        )
 
 
 # --- Errors on what was not fitted --------------------------------------------------------------
@@ -259,6 +246,7 @@ def _fields(parts: Sequence[DrivePart], judged: _DriveErrors) -> dict[str, Any]:
     found, errors = judged.found, judged.position_errors
     ratio = judged.torque_ratio(found.fit.factors)
     names = list(found.rows.joints)
+    commands = None if parts[0].log.commands is None else parts[0].log.commands.of(names)
     squares = np.concatenate(list(errors.values())) if errors else None
     scores = dict.fromkeys(REPORTED) | {
         "rank": found.rank,
@@ -294,6 +282,8 @@ def _fields(parts: Sequence[DrivePart], judged: _DriveErrors) -> dict[str, Any]:
         "std_from": "residuals",
         "std_limit": LIMITS["residuals"],
         "motors": motor_fields(parts[0].log, found) or None,
+        "gains": gain_fields(found.gains, names) or None,
+        "lost_motion": None if commands is None else lost_motion_fields(found, commands.kp[-1]),
     }
 
 
@@ -303,11 +293,12 @@ def _configurations(result: ActuatorsResult, part: DrivePart) -> dict[str, str]:
     if commands is None:
         return {}
     commands = commands.of(result.rows)
+    limits = torque_limits(part.robot, commands)
     settings = {
         name: JointSettings(
             kp=joint.get("gain", 1.0) * float(commands.kp[-1, j]),
             kd=joint.get("gain", 1.0) * float(commands.kd[-1, j]),
-            limit=float(commands.limit[j]),
+            limit=float(limits[j]),
             armature=joint["Ia"],
             damping=joint["fv"],
             friction=joint["fc"],
@@ -343,7 +334,18 @@ def _warnings(parts: Sequence[DrivePart], judged: _DriveErrors) -> Iterator[str]
     yield from dict.fromkeys([*parts[0].robot.repairs, *findings])
     if judged.reason:
         yield f"no rollout: {judged.reason}"
-    profile = judged.found.profile
+    found = judged.found
+    if parts[0].log.commands is not None and not found.gains:
+        for one in stated_gains(found.rows, found.groups, found.delay):
+            low, high = one.interval
+            if not one.is_open and (low > MISSTATED or high < 1.0 / MISSTATED):
+                names = first_names([found.rows.joints[j] for j in one.joints])
+                yield (
+                    f"the gains that fit are {one.gain:.3g} ({low:.3g} to {high:.3g}) times the "
+                    f"stated kp and kd of {names}; armature, friction and offset are wrong by that "
+                    "factor. Correct tau.pd, or take the stated gains as a start: --also gain"
+                )
+    profile = found.profile
     if profile is not None and profile.ahead:
         yield (
             "a delay below zero would fit better: q_des is stamped later than it acts; check its "
@@ -351,7 +353,7 @@ def _warnings(parts: Sequence[DrivePart], judged: _DriveErrors) -> Iterator[str]
         )
     elif profile is not None and profile.on_edge:
         yield (
-            f"the delay is the longest that was tried, {1e3 * judged.found.delay:.3g} ms: check "
+            f"the delay is the longest that was tried, {1e3 * found.delay:.3g} ms: check "
             "the times of q_des, or state a delay"
         )
 

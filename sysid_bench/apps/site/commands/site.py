@@ -42,7 +42,7 @@ SHARE: Final = 0.05
 _SCHEMA: Final = 1
 _OWN: Final = ("suites", "robots", "methods")
 """Folders of a site, which are made anew."""
-_FILES: Final = ("run.toml", "plan.jsonl", "env.json", "cells")
+_FILES: Final = ("run.toml", "plan.jsonl", "models.json", "env.json", "cells")
 """Files read of a submission, besides the files that its suite names: tables and data frames are
 made from the rows again."""
 _OF_MACHINES: Final = ("timeout", "memory", "crash", "lost")
@@ -174,11 +174,9 @@ class SiteResult(Result):
 class CheckResult(Result):
     """Check of a submission: `cells` of the `drawable` ones, drawn with `seed`, were run again;
     `different` are the values that came out otherwise; `planned` the cells whose id or labels are
-    not those of the suite, all where it cannot be planned (`reason`); `changed` the rows
-    (file:line) that were changed after they were written, and env.json where its digest is of other
-    rows; `beside` the plug-ins that are not methods, which see the truth, and `beside_cells` the
-    cells that they run in; `elsewhere` the cells whose rows are of other versions than env.json
-    states; `digest`: the SHA-256 of all rows."""
+    not those of the suite; `changed` the rows (file:line) that were changed after they were
+    written, and env.json where its digest is of other rows; `refused` the cells by any other
+    reason, for which none is run; `digest`: the SHA-256 of all rows."""
 
     folder: str
     seed: int
@@ -186,18 +184,14 @@ class CheckResult(Result):
     cells: list[str]
     different: list[dict[str, Any]]
     planned: list[str]
-    reason: str
     changed: list[str]
-    beside: list[str]
-    beside_cells: list[str]
-    elsewhere: list[str]
+    refused: dict[str, list[str]]
     digest: str
 
     @property
     def ok(self) -> bool:
         """True where nothing differs."""
-        found = self.different, self.planned, self.changed, self.beside, self.elsewhere
-        return not any(found)
+        return not (self.different or self.planned or self.changed or self.refused)
 
     @property
     def share(self) -> "RepeatShare":
@@ -217,18 +211,8 @@ class CheckResult(Result):
         if self.changed:
             lines.append(f"rows changed after they were written: {first_names(self.changed)}")
         if self.planned:
-            why = f" ({self.reason})" if self.reason else ""
-            names = first_names(self.planned)
-            lines.append(f"cells that are not those of the suite{why}: {names}")
-        if self.beside:
-            lines.append(
-                f"code of others that is not a method, and would see the truth: "
-                f"{first_names(self.beside)}; in the cells {first_names(self.beside_cells)}"
-            )
-        if self.elsewhere:
-            lines.append(
-                f"rows of other versions than env.json states: {first_names(self.elsewhere)}"
-            )
+            lines.append(f"cells that are not those of the suite: {first_names(self.planned)}")
+        lines += (f"{why}: {first_names(cells)}" for why, cells in self.refused.items())
         lines += (
             f"{one['id']}  {one['metric']}: submitted {one['submitted']}, computed "
             f"{one['computed']}"
@@ -362,6 +346,8 @@ def check_submission(
     not there, on the path of Python, and for cells of sealed plants without their seed.
     """
     from sysid_bench.commands.run_folder import no_rows, open_run
+    from sysid_bench.experiments.spec import SEALED, seed_of_hash
+    from sysid_bench.harness.merge import contradictions
     from sysid_bench.harness.suite.model import Origin
     from sysid_bench.harness.work.row_files import ROWS_DIGEST, rows_digest
 
@@ -383,21 +369,29 @@ def check_submission(
         robots = str(here / "robots") if (here / "robots").is_dir() else None
         origin = Origin(folder=str(here), robots=robots)
         suite = run.suite.model_copy(update={"origin": origin})
-        beside, beside_cells = _beside_methods(run, suite)
-        known, reason = run.planned_fields, ""
+        known, versions = run.planned_fields, [one.get("versions") for one in run.machines]
+        other = [name for name, row in rows.rows.items() if row.get("versions") not in versions]
+        found = {
+            "rows of other versions than env.json states": other,
+            "cells with ok rows of one code that differ": contradictions(run),
+            **_beside_methods(run, suite),
+        }
         try:
             planned = _not_of_the_suite(run, suite)
         except UsageError as error:  # as of a robot that is another one than its name says
-            planned, reason = [*known], str(error)
-        versions = [one.get("versions") for one in run.machines]
+            planned, found[f"cells of a suite that cannot be planned ({error})"] = [], [*known]
+        refused = {why: cells for why, cells in found.items() if cells}
         ids = sorted(
             name
             for name, row in rows.rows.items()
             if name in known and row["status"] not in _OF_MACHINES
         )
         # Cells of another plan need no run to be refused, and their code is not executed.
-        drawn = [] if planned or beside else random_cells(ids, share, chosen)
-        _check_seeds(run, {name for name in drawn if rows.rows[name]["status"] != "failed"})
+        drawn = [] if planned or refused else random_cells(ids, share, chosen)
+        for cell in run.plan.cells:
+            seal = cell.spec.plant.get(SEALED)
+            if seal and cell.id in drawn and rows.rows[cell.id]["status"] == "ok":
+                seed_of_hash(str(seal))  # an error where it is not here
         different = _differences(run, suite, drawn, jobs, on_event) if drawn else []
     return CheckResult(
         folder=str(folder),
@@ -406,43 +400,22 @@ def check_submission(
         cells=drawn,
         different=different,
         planned=planned,
-        reason=reason,
         changed=changed,
-        beside=beside,
-        beside_cells=beside_cells,
-        elsewhere=[name for name, row in rows.rows.items() if row.get("versions") not in versions],
+        refused=refused,
         digest=digest,
     )
 
 
-def _check_seeds(run: "RunFolder", cells: set[str]) -> None:
-    """Raise UsageError for cells of sealed plants whose seed is not here: without it they fail."""
-    from sysid_bench.experiments.spec import SEALED, SEEDS, seed_of_hash
-
-    sealed = {c.id: c.spec.plant[SEALED] for c in run.plan.cells if c.spec.plant.get(SEALED)}
-    try:
-        for seal in {sealed[name] for name in cells & sealed.keys()}:
-            seed_of_hash(str(seal))
-    except UsageError as error:
-        raise UsageError(
-            f"{len(cells & sealed.keys())} cells of the draw are of a sealed plant and cannot be "
-            f"run again without its seed: {SEEDS}=FILE sysid-bench site --check ... ({error})"
-        ) from error
-
-
-def _beside_methods(run: "RunFolder", suite: "Suite") -> tuple[list[str], list[str]]:
-    """Third-party plug-ins that are not methods ("metric file:own.py:Own"), and the cells of
-    experiments in which they run."""
+def _beside_methods(run: "RunFolder", suite: "Suite") -> dict[str, list[str]]:
+    """Cells of experiments with third-party plug-ins that are not methods, by a sentence."""
     from sysid_bench.harness.run import job_of
     from sysid_bench.harness.suite.load_suite import third_party_names
 
-    names = third_party_names(suite, suite.robots_folder)
-    named = [f"{kind} {name}" for kind, name in names if kind != "estimator"]
-    cells = []
-    for cell in run.plan.cells:
-        code = job_of([cell], suite, suite.robots_folder)["third_party"]
-        cells += [cell.id] if code["data"] or code["metrics"] else []
-    return named or ["of plan.jsonl alone"][: len(cells)], cells
+    parts = ((c.id, job_of([c], suite, suite.robots_folder)["third_party"]) for c in run.plan.cells)
+    cells = [name for name, code in parts if code["data"] or code["metrics"]]
+    named = third_party_names(suite, suite.robots_folder)
+    names = ", ".join(f"{kind} {name}" for kind, name in named if kind != "estimator")
+    return {f"code of others that is no method and would see the truth ({names})": cells}
 
 
 def _not_of_the_suite(run: "RunFolder", suite: "Suite") -> list[str]:
@@ -455,6 +428,10 @@ def _not_of_the_suite(run: "RunFolder", suite: "Suite") -> list[str]:
         made = cells_of_suite(suite, names, large=True)
     wanted = {cell.id: cell.first_fields for cell in made.cells}
     planned = run.planned_fields
+    # Records of other models would make it another version of the suite.
+    stated, true = ({k: x["hash"] for k, x in one.items()} for one in (run.models, made.models))
+    if run.models and stated != true:
+        return [*planned]
     other = [name for name, head in planned.items() if wanted.get(name) != head]
     return other + [name for name in wanted if name not in planned]
 

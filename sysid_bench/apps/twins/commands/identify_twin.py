@@ -19,6 +19,7 @@ from sysid_bench.identification.estimators.feasible import LMI
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.model_record import seed_content
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_names import build
 from sysid_bench.reporting.signal_figures import ResidualSpectra
@@ -88,7 +89,8 @@ def identify_robot(posed: Posed, truth: str, place: Path) -> RobotModel:
         raise type(error)(f"{reason} --truth lmi needs no prior.") from error
     # The seeds of a replay are those of the robot that was asked for, not of a written file.
     own = locked.manifest
-    return load_robot(replace(find_manifest(written), locked=own.locked, content=own.content))
+    manifest = replace(find_manifest(written), locked=own.locked, by_path=own.by_path)
+    return load_robot(replace(manifest, content=seed_content(own)))
 
 
 def replay_residual(recorded: RecordedRobot, found: Twin, seed: int) -> list[list[Residual]]:
