@@ -66,6 +66,8 @@ def _is_absent(package: str) -> bool:
 
 
 ABSENT = {name: f"the extra {EXTRAS[name]}" for name in EXTRAS if _is_absent(name)}
+if _is_absent("pinocchio"):
+    ABSENT["pinocchio"] = "Pinocchio (the package pin)"
 if "rerun" not in ABSENT and _is_absent("rerun.chunk"):
     ABSENT["rerun.chunk"] = "rerun-sdk 0.38 or newer, which reads recordings"
 
