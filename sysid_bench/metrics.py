@@ -236,16 +236,7 @@ _RUN: Final = (
 METRICS: Final[Mapping[str, Metric]] = MappingProxyType(
     {
         metric.name: metric
-        for group in (
-            _ACCURACY,
-            _DATA,
-            _LOAD,
-            _SENSOR,
-            _BODIES,
-            _UNCERTAINTY,
-            _JOINTS,
-            _RUN,
-        )
+        for group in (_ACCURACY, _DATA, _LOAD, _SENSOR, _BODIES, _UNCERTAINTY, _JOINTS, _RUN)
         for metric in group
     }
 )

@@ -12,8 +12,8 @@ MOTOR: Final = "motor"
 motors instead of joints."""
 FINDINGS: Final = (
     "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits", "joined",
-    "zero", "copied", "wrapped", "magnitude", "sign", "columns", "direction", "gain", "current",
-    "gravity", "offset", "robot", "delay",
+    "zero", "copied", "wrapped", "magnitude", "spikes", "sign", "columns", "direction", "gain",
+    "current", "gravity", "offset", "robot", "delay",
 )  # fmt: skip
 """Findings in a recording that a user can accept: those of the reader, then those of a diagnosis.
 """

@@ -28,6 +28,7 @@ class Mistake:
     of_joint: bool = True
     robot: Callable[[RobotModel], RobotModel] | None = None
     is_harmless: bool = False
+    of_velocity: bool = False  # the same as another one where no velocities are recorded
 
 
 def times(s: Signals) -> Array:
@@ -286,23 +287,25 @@ MISTAKES: Final = (
     Mistake("torque spikes x 1e6", ("spikes", "units"), _spikes(1e6)),
     Mistake("q in deg, no v", ("units", "limits"), _without_v(_times(q=DEGREES, every=-1)), False),
     Mistake("q in deg", ("units", "rate", "velocity"), _times(q=DEGREES, every=-1), False),
-    Mistake("v in deg/s", ("units", "rate", "velocity"), _times(v=DEGREES, every=-1), False),
+    Mistake("v in deg/s", ("units", "rate", "velocity"), _times(v=DEGREES, every=-1), False,
+            of_velocity=True),
     Mistake("q wrapped at a turn", ("wrapped",), _wrapped),
     Mistake("q wrapped at a turn, no v", ("wrapped",), _without_v(_wrapped)),
-    Mistake("v = position", ("velocity", "copied"), lambda s, j, rng: replace(s, v=s.q), False),
+    Mistake("v = position", ("velocity", "copied"), lambda s, j, rng: replace(s, v=s.q), False,
+            of_velocity=True),
     Mistake("q = velocity", ("velocity", "copied", "units"),
             lambda s, j, rng: replace(s, q=_velocity(s), v=_velocity(s)), False),
     Mistake("q columns exchanged, no v", ("columns",), _without_v(_exchange("q"))),
     Mistake("q and v columns exchanged", ("columns",), _exchange("q", "v")),
-    Mistake("q columns exchanged, v not", ("velocity",), _exchange("q")),
+    Mistake("q columns exchanged, v not", ("velocity",), _exchange("q"), of_velocity=True),
     Mistake("joints exchanged", ("columns",), _exchange("q", "v", "tau")),
     Mistake("direction of q and v", ("direction",), _times(q=-1, v=-1)),
-    Mistake("direction of q, v not", ("velocity",), _times(q=-1)),
+    Mistake("direction of q, v not", ("velocity",), _times(q=-1), of_velocity=True),
     Mistake("direction of q, no v", ("direction",), _without_v(_times(q=-1))),
     Mistake("axis reversed: q, v, tau", ("direction",), _times(q=-1, v=-1, tau=-1)),
     Mistake("zero off by 0.3 rad", ("offset",), _moved(0.3)),
     Mistake("zero off by 90 deg", ("offset", "units", "limits"), _moved(0.5 * np.pi)),
-    Mistake("rate halved", ("rate",), _rate(0.5), False),
+    Mistake("rate halved", ("rate",), _rate(0.5), False, of_velocity=True),
     Mistake("rate halved, no v", ("rate",), _without_v(_rate(0.5)), False),
     Mistake("rate doubled, no v", ("rate",), _without_v(_rate(2.0)), False),
     Mistake("stamps in ms", ("rate", "time"), _stamped(lambda t, rng: 1e3 * t), False),

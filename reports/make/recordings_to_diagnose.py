@@ -48,12 +48,14 @@ class Signals:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A recording to plant mistakes on, and others of the same robot to judge what they cost."""
+    """A recording to plant mistakes on, and others of the same robot to judge what they cost.
+    `accepted`: contradictions of the recording itself that its data set states."""
 
     name: str
     robot: RobotModel
     training: Signals
     tests: tuple[Signals, ...]
+    accepted: tuple[str, ...] = ()
 
 
 def evidence(signals: Signals, robot: RobotModel) -> DiagnoseInput:
@@ -90,7 +92,8 @@ def recorded_subjects(word: str = "") -> Iterator[Subject]:
         for one in chosen:
             tests = found.test if one in found.train else found.train
             others = tuple(_signals(motions[other], robot) for other in tests)
-            yield Subject(f"{name}/{one}", robot, _signals(motions[one], robot), others)
+            training, accepted = _signals(motions[one], robot), tuple(found.accept)
+            yield Subject(f"{name}/{one}", robot, training, others, accepted)
 
 
 def _signals(log: LogDescription, robot: RobotModel) -> Signals:

@@ -232,9 +232,7 @@ def design_motion(request: ExciteRequest, on_value: OnValue) -> ExciteResult:
     )
 
 
-def _problem(
-    request: ExciteRequest,
-) -> tuple[RobotModel, tuple[str, ...], BaseMap, DesignProblem]:
+def _problem(request: ExciteRequest) -> tuple[RobotModel, tuple[str, ...], BaseMap, DesignProblem]:
     """Robot, joint terms, base parameters and the problem of their information within limits."""
     check_term_names(request.terms)
     robot = load_robot(request.robot, parse_payload(request.payload), robots_dir=request.robots_dir)

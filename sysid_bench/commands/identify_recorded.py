@@ -24,13 +24,7 @@ from sysid_bench.commands.identify_result import (
 from sysid_bench.commands.payload_text import payload_lines
 from sysid_bench.commands.result import file_text, interval_text, short_names, value_text
 from sysid_bench.commands.write_model import DEVIATIONS, check_files, check_output_files
-from sysid_bench.errors import (
-    SHOWN,
-    EstimationError,
-    ModelError,
-    UnsupportedError,
-    WriteError,
-)
+from sysid_bench.errors import SHOWN, EstimationError, ModelError, UnsupportedError, WriteError
 from sysid_bench.evaluation.binding_constraints import GROUPS, binding_errors
 from sysid_bench.evaluation.intervals import confidence_level, level_text
 from sysid_bench.evaluation.score import joint_errors

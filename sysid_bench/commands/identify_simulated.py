@@ -26,12 +26,7 @@ from sysid_bench.commands.result import OMIT_NONE, file_text, value_text
 from sysid_bench.commands.sensor_certificate import certificate_fields, certificate_lines
 from sysid_bench.commands.task_terms import check_terms
 from sysid_bench.commands.values import check_seed
-from sysid_bench.commands.write_model import (
-    check_files,
-    check_output_files,
-    format_of,
-    write_model,
-)
+from sysid_bench.commands.write_model import check_files, check_output_files, format_of, write_model
 from sysid_bench.errors import ModelError, WriteError, first_names
 from sysid_bench.evaluation.feasible_body import feasible_body
 from sysid_bench.evaluation.second_engine import WITHOUT

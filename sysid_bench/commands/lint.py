@@ -7,13 +7,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sysid_bench.commands.request import (
-    FAILED,
-    OK,
-    Request,
-    model,
-    python_function,
-)
+from sysid_bench.commands.request import FAILED, OK, Request, model, python_function
 from sysid_bench.commands.result import HIDDEN, Result
 from sysid_bench.errors import UsageError, count_text
 

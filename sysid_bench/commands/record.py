@@ -12,13 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from sysid_bench.commands.request import (
-    OK,
-    Request,
-    argument,
-    option,
-    python_function,
-)
+from sysid_bench.commands.request import OK, Request, argument, option, python_function
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.extras import extra_module
 from sysid_bench.input_files import read_text

@@ -7,13 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.commands.write_model import (
-    KEYS,
-    PASSIVE,
-    format_of,
-    write_text,
-    write_values,
-)
+from sysid_bench.commands.write_model import KEYS, PASSIVE, format_of, write_text, write_values
 from sysid_bench.errors import EstimationError, ModelError, first_names
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.evaluation.score import feasible_figures, joint_errors

@@ -14,14 +14,7 @@ import click
 from click.core import ParameterSource
 
 from sysid_bench.commands.completion import completer
-from sysid_bench.commands.request import (
-    INTERRUPTED,
-    OK,
-    USAGE,
-    Option,
-    Request,
-    spec_of,
-)
+from sysid_bench.commands.request import INTERRUPTED, OK, USAGE, Option, Request, spec_of
 from sysid_bench.commands.worker_execute import supervise
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt

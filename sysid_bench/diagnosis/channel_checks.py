@@ -48,6 +48,8 @@ both lowers it, and equal factors are no chance."""
 EQUAL: Final = 0.15
 """Relative difference of the factors of two joints: their inertias differ by more."""
 
+NOTHING_ELSE: Final = 0.9
+"""Share of a channel's squares in its spikes from which all fits are those of the spikes."""
 WINDOW: Final = 5
 SCALES: Final = 8.0
 """Median absolute deviations from the running median (Hampel) of a spike."""
@@ -244,18 +246,21 @@ def spikes(evidence: DiagnoseInput) -> Iterator[Finding]:
     the first rows."""
     for word, x in (("torque", evidence.raw.tau), ("position", evidence.raw.q)):
         rows = [_spike_rows(x[:, c]) for c in evidence.columns]
-        hit = [found for found in rows if len(found)]
-        if not hit:
+        found = [one for one in rows if len(one)]
+        if not found:
             continue
-        names = evidence.names(np.array([len(found) > 0 for found in rows]))
-        first = ", ".join(str(int(row) + 1) for row in hit[0][:3])
+        names = evidence.names(np.array([len(one) > 0 for one in rows]))
+        first = ", ".join(str(int(row) + 1) for row in found[0][:3])
         text = (
-            f"{sum(map(len, hit))} spikes in the {word} of {', '.join(names)}, the first in "
+            f"{sum(map(len, found))} spikes in the {word} of {', '.join(names)}, the first in "
             f"samples {first}"
         )
         edit = "remove these rows from the file, or use an estimator that is robust: huber"
         blind = "spikes of several samples"
-        yield Finding("spikes", WARNING, text, names, edit=edit, blind=blind)
+        pairs = zip(evidence.columns, rows, strict=True)
+        power = [(x[hit, c] ** 2).sum() / np.nansum(x[:, c] ** 2) for c, hit in pairs if len(hit)]
+        severity = ERROR if max(power) > NOTHING_ELSE else WARNING
+        yield Finding("spikes", severity, text, names, edit=edit, blind=blind)
 
 
 def _spike_rows(x: Array) -> Array:

@@ -23,6 +23,8 @@ from sysid_bench.diagnosis.model_candidates import (
     other_robot,
 )
 
+LOAD: Final = "load"
+
 Search = Callable[[Hypothesis], Iterator[Candidate]]
 SEARCHES: Final[Sequence[Search]] = (
     of_motion.sampling_rate, of_torque.torque_direction, of_torque.torque_columns,
@@ -50,6 +52,9 @@ left may be other mistakes, but one that explains next to nothing is none."""
 
 EQUAL: Final = 0.9
 """Share of what the best explanation gains, or explains, from which another one is as likely."""
+
+AHEAD: Final = 6
+"""Candidates after which a load is looked for."""
 
 EXPLAINED: Final = 0.75
 FOREIGN: Final = 0.15
@@ -91,7 +96,31 @@ def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
         candidates = _sorted(current, [*candidates, *foreign])
     if not candidates or candidates[0].evidence(current) < DOUBTFUL:
         return []
-    return _sorted(current, [*candidates, *_ranked(current, [link_inertia])])
+    candidates = _sorted(current, [*candidates, *_ranked(current, [link_inertia])])
+    return _looked_ahead(candidates, current)
+
+
+def _looked_ahead(candidates: Sequence[Candidate], current: Hypothesis) -> list[Candidate]:
+    """Return the candidates in the order of what they explain together with a load after them, or
+    of a load with the best after it: mistakes hide a load that the model lacks, and the reverse."""
+    found = list(candidates)
+    for k, one in enumerate(found[:AHEAD]):
+        if one.name != LOAD and one.evidence(current) >= DOUBTFUL:
+            found[k] = replace(one, ahead=_after(one, [of_torque.tool_load], SURE))
+    found = _sorted(current, found)
+    at = next((k for k, one in enumerate(found) if one.name == LOAD), 0)
+    if at > 0 and found[at].evidence(current) >= SURE:
+        # The mistake itself comes first where both orders explain as much.
+        after = _after(found[at], SEARCHES, DOUBTFUL) - SURE
+        found[at] = replace(found[at], ahead=max(after, 0.0))
+    return _sorted(current, found)
+
+
+def _after(first: Candidate, searches: Sequence[Search], least: float) -> float:
+    """Evidence of the best candidate after another, 0 where it is below some least one."""
+    best = max((one.evidence(first.hypothesis) for one in _ranked(first.hypothesis, searches)),
+               default=0.0)  # fmt: skip
+    return best if best >= least else 0.0
 
 
 def _ranked(current: Hypothesis, searches: Sequence[Search]) -> list[Candidate]:
@@ -113,7 +142,7 @@ def _sorted(current: Hypothesis, candidates: Sequence[Candidate]) -> list[Candid
 def _is_visible(candidate: Candidate, current: Hypothesis) -> bool:
     """True where a candidate removes a share of the cost, or, of a joint among others that nothing
     explains, a part of that joint's torque."""
-    removed, least = current.fit.cost - candidate.hypothesis.fit.cost, LEAST * current.fit.cost
+    removed, least = candidate.removed(current), LEAST * current.fit.cost
     of_some = len(candidate.joints) < current.evidence.count
     return candidate.is_gross or removed >= (min(NOTICED, least) if of_some else least)
 
@@ -127,6 +156,7 @@ def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
         one
         for one in kinds
         if one is not best
+        and not (one.name == LOAD and best.ahead)  # the load that shows after the best
         and (
             one.gain(before) >= EQUAL * best.gain(before)
             # A centre of mass may explain as much as an offset, with more numbers.
@@ -135,17 +165,21 @@ def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
     ]
     # Where the recording may be intact it is usable, and nobody has to correct it.
     certain = all(one.most == ERROR for one in (best, *likely))
-    removed = before.fit.cost - best.hypothesis.fit.cost
-    sure = best.evidence(before) >= SURE and (best.is_gross or removed >= LARGE)
+    large = best.is_gross or best.removed(before) >= LARGE
+    sure = best.evidence(before) - best.ahead >= SURE and large
+    severity = ERROR if certain and sure else WARNING if best.most == ERROR else best.most
     others = "".join(f" (or, as likely: {one.message})" for one in likely)
     return Finding(
         name=best.name,
-        severity=ERROR if certain and sure else WARNING if best.most == ERROR else best.most,
+        severity=severity,
         message=best.message + others,
         joints=tuple(before.evidence.joints[j] for j in best.joints),
         explains=round(best.share(before), 3),
         confidence=round(1.0 / (1 + len(likely) + np.exp(-0.5 * best.evidence(before))), 2),
         blind=best.blind,
-        edit="; or, whichever is true: ".join(one.edit for one in (best, *likely)),
+        edit="; or, whichever is true: ".join(
+            one.edit if severity == ERROR else one.doubt or one.edit for one in (best, *likely)
+        ),
         alternatives=tuple(one.alternative(before) for one in kinds),
+        as_likely=tuple(one.name for one in likely),
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.diagnosis import near_model as near
 from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
-from sysid_bench.models.model_checks import placeholder_reason
+from sysid_bench.models.model_checks import length, placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.signals.filter import Butterworth, derivative
@@ -26,6 +26,9 @@ OVERSAMPLING: Final = 5.0
 """Rate after decimation in units of the cut-off."""
 ROWS: Final = 500
 """Samples of the fits near the model: many fits are made, and neighbouring samples are alike."""
+TOOL: Final = 0.1
+"""Mass and size of a tool over those of its robot."""
+GRAVITY: Final = 9.81
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,6 +222,26 @@ class DiagnoseInput:
         return placeholder_reason(self.robot)
 
     @cached_property
+    def holding(self) -> Array:
+        """Torques (n,) that hold what each joint carries, stretched out, with a load of a tenth of
+        the moving links at its end: drives are built for them. Infinite without known masses."""
+        robot, parent = self.robot, self.robot.mj.body_parentid - 1  # MuJoCo counts the world
+        apart = np.linalg.norm(robot.mj.body_pos[1:], axis=1)
+        mass, moment = robot.phi[:, 0].copy(), np.linalg.norm(robot.phi[:, 1:4], axis=1)
+        reach = np.zeros(len(mass))
+        for b in range(len(mass) - 1, -1, -1):
+            if (p := parent[b + 1]) >= 0:
+                mass[p] += mass[b]
+                moment[p] += moment[b] + mass[b] * apart[b]
+                reach[p] = max(reach[p], reach[b] + apart[b])
+        load = TOOL * float(self._links[1][:, 0].sum())
+        turned = moment + load * (reach + TOOL * length(robot))
+        bodies = robot.mj.dof_bodyid[self.dofs] - 1
+        lifted = np.array([kind == "slide" for kind in self.kinds])
+        held = GRAVITY * np.where(lifted, (mass + load)[bodies], turned[bodies])
+        return np.full(self.count, np.inf) if self.placeholder else held
+
+    @cached_property
     def link_std(self) -> Array:
         """Standard deviations (p,) of the link parameters."""
         theta = self._links[1]
@@ -264,7 +287,8 @@ class DiagnoseInput:
         T = T if more is None else np.concatenate([T, more], axis=2)
         std = self.link_std * spread
         known, seconds = self.file_parameters.ravel(), len(self.log.recording) / self.rate
-        return near.near_model(W, terms(motion), T, known, std, seconds)
+        F, held = terms(motion), self.holding
+        return near.near_model(W, F, T, known, std, holding=held, seconds=seconds)
 
     @cached_property
     def near_model(self) -> NearModel:

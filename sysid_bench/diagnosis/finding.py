@@ -46,7 +46,8 @@ class Finding:
     `explains`: share of the mean squared residual of the joints that its correction removes,
     None where nothing is fitted. `confidence`: 0 to 1. `blind`: when the test cannot see the
     mistake. `edit`: the change of the log's description, or of the model, that corrects it.
-    `alternatives`: all explanations that gain anything, the best of each kind, the best first.
+    `alternatives`: all explanations that gain anything, the best of each kind, the best first;
+    `as_likely`: names of those that explain as much as the first.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Finding:
     blind: str = ""
     edit: str = ""
     alternatives: tuple[Alternative, ...] = ()
+    as_likely: tuple[str, ...] = ()
 
     @property
     def is_error(self) -> bool:
@@ -69,4 +71,5 @@ class Finding:
         rows = [
             {**vars(one), "joints": list(one.joints), "text": str(one)} for one in self.alternatives
         ]
-        return {**vars(self), "joints": list(self.joints), "alternatives": rows}
+        lists = {"joints": list(self.joints), "as_likely": list(self.as_likely)}
+        return {**vars(self), **lists, "alternatives": rows}

@@ -11,15 +11,16 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis, setting_edit
-from sysid_bench.diagnosis.near_model import PENALTY, TERMS
+from sysid_bench.diagnosis.hypothesis import NORMAL, Candidate, Hypothesis, gain_edits
+from sysid_bench.diagnosis.near_model import PENALTY
 from sysid_bench.types import Array
 
 TURNS: Final = 8
 """Gains converge to two digits in as many turns, from those of the model file's links."""
-NORMAL: Final = 1.96
 CERTAIN: Final = 2.69
-"""Standard deviations of a decision at 5 %: on one joint, and on any of seven."""
+"""Standard deviations of a decision at 5 % on any of seven joints."""
+WIDEST: Final = 0.5 * float(np.log(10.0))
+"""Half of the widest interval of a gain that is one, in the logarithm."""
 SMALLEST: Final = np.log(1.8)
 """A smaller gain lies within the spread of masses between a model file and its robot."""
 ALIKE: Final = np.log(1.5)
@@ -39,7 +40,10 @@ def joint_gains(before: Hypothesis) -> Iterator[Candidate]:
     if e.placeholder:
         return
     logs, deviation = _log_gains(before)
-    wrong = np.abs(logs) > np.maximum(SMALLEST, CERTAIN * deviation)
+    # An interval of more than a decade names no factor.
+    deviation *= before.with_torque(np.diag(np.exp(logs))).strain
+    decided = NORMAL * deviation < WIDEST
+    wrong = decided & (np.abs(logs) > np.maximum(SMALLEST, CERTAIN * deviation))
     found = logs[wrong]
     if len(found) < 2:
         return
@@ -55,8 +59,8 @@ def joint_gains(before: Hypothesis) -> Iterator[Candidate]:
         logs = np.where(wrong, logs, middle)
     else:
         logs = np.where(wrong, middle if is_common else logs, 0.0)
-    gains = np.exp(logs)
-    cured, edit = before.with_torque(np.diag(gains)), setting_edit(e, "tau", "gain", gains)
+    gains, half = np.exp(logs), NORMAL * float(deviation[wrong].max())
+    cured, (edit, doubt) = before.with_torque(np.diag(gains)), gain_edits(e, gains, half)
     joints = tuple(range(e.count)) if is_current else tuple(np.flatnonzero(wrong).tolist())
     if is_current:
         listed = ", ".join(f"{e.joints[j]} {gains[j]:.3g}" for j in np.flatnonzero(wrong))
@@ -64,13 +68,17 @@ def joint_gains(before: Hypothesis) -> Iterator[Candidate]:
             "current", joints, cured,
             f"torques are off by a factor of their own in each joint ({listed}): currents?",
             f'{edit}, and unit = "A" where these are currents', BLIND,
-            unknowns=float(e.count),
+            unknowns=float(e.count), doubt=doubt,
         )  # fmt: skip
         return
-    parts = _by_factor(before, gains, joints, is_common)
+    parts, size = _by_factor(before, gains, joints, is_common), float(np.exp(abs(middle)))
+    # One factor is known as well as all of its joints together know it.
+    close = NORMAL / float(np.sqrt((deviation[wrong] ** -2).sum()))
     yield Candidate(
         "gain", joints, cured, f"{parts}: a gear or a drive constant", edit, BLIND,
-        unknowns=1.0 if is_common else float(len(joints)),
+        unknowns=1.0 if is_common else float(len(joints)), doubt=doubt,
+        estimate=f"{size:.3g} times too {'small' if middle > 0 else 'large'}" if is_common else "",
+        interval=(size * np.exp(-close), size * np.exp(close)) if is_common else None,
     )  # fmt: skip
 
 
@@ -110,33 +118,24 @@ def _log_gains(before: Hypothesis) -> tuple[Array, Array]:
 def _without_terms(before: Hypothesis, j: int, links: Array) -> Array:
     """Mean products (r + 2, r + 2) of joint j's columns [links, torque of these links, recorded
     torque] after its friction, armature and offset are fitted to each."""
-    model, P = before.model, before.model.products[j]
-    r, m = model.rank, len(TERMS)
-    C = np.zeros((len(P), r + m + 2))
-    C[: r + m, : r + m] = np.eye(r + m)
-    C[:r, r + m], C[r + m, r + m] = links, 1.0
-    C[r + m + 1 :, r + m + 1] = before.mixing[:, j]
-    G = C.T @ P @ C
-    terms, others = slice(r, r + m), [*range(r), r + m, r + m + 1]
-    size = np.sqrt(np.maximum(np.diag(G)[terms], 1e-300))
-    own = G[terms, terms] / np.outer(size, size) + 1e-9 * np.eye(m)
-    left = G[others, terms] / size
-    return np.asarray(G[np.ix_(others, others)] - left @ np.linalg.solve(own, left.T))
+    P, r = before.model.without_terms(j)[0], before.model.rank
+    C = np.zeros((len(P), r + 2))
+    C[:r, :r] = np.eye(r)
+    C[:r, r], C[r, r] = links, 1.0
+    C[r + 1 :, r + 1] = before.mixing[:, j]
+    return np.asarray(C.T @ P @ C)
 
 
 def _deviations(before: Hypothesis, links: Array, slope: Array, used: Array) -> Array:
     """Standard deviations (k,) of the logarithms of the used joints' gains, at a mean squared
     relative residual of 1; residuals of a joint count as one independent number."""
     model = before.model
-    r, k = model.rank, len(used)
+    r, k, scale = model.rank, len(used), model.torque_scale(before.mixing)
     H = np.zeros((r + k, r + k))
     H[:r, :r] = PENALTY**2 * np.eye(r)
     for i, j in enumerate(used.tolist()):
         G = _without_terms(before, j, links)
-        total = (
-            before.mixing[:, j] @ model.products[j][-len(before.mixing) :, -len(before.mixing) :]
-        )
-        weight = slope[j] ** 2 / max(float(total @ before.mixing[:, j]), 1e-300)
+        weight = slope[j] ** 2 * scale[j]
         H[:r, :r] += weight * G[:r, :r]
         H[:r, r + i] = H[r + i, :r] = weight * G[:r, r]
         H[r + i, r + i] = weight * G[r, r]

@@ -1,7 +1,7 @@
 """Hypotheses: recordings with a mistake undone, how well a robot near the model fits them, and the
 edits of a log's description that undo the mistake."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -11,11 +11,15 @@ import numpy as np
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, JointMotion
 from sysid_bench.diagnosis.finding import ERROR, Alternative
 from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
+from sysid_bench.errors import first_names
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.types import Array
 
 NORMAL: Final = 1.96
 """97.5 % quantile of the normal distribution, of a decision."""
+
+SHARP: Final = float(np.log(2.0))
+"""Half of the widest interval of a gain, in the logarithm, that a cure holds as a number."""
 
 UNKNOWNS: Final = {"gain": 1.0, "offset": 1.0, "gravity": 2.0, "rate": 1.0}
 """Numbers that candidates fit beside the bodies and the friction that all of them fit."""
@@ -40,6 +44,19 @@ class Hypothesis:
         """Fit near the model."""
         return self.model.fit(self.mixing)
 
+    @cached_property
+    def variances(self) -> Array:
+        """Variances (p,) of the link parameters over those that the model file leaves them."""
+        return self.model.variances(self.mixing)
+
+    @property
+    def strain(self) -> float:
+        """Distance of the links from the model file over that of right spreads, at least 1: numbers
+        relative to a file that is further off are as much less certain (Birge ratio)."""
+        away = (self.fit.links - self.model.known) / self.model.scale
+        known = max(float((1.0 - self.variances).sum()), 1e-9)
+        return max(1.0, float(np.sqrt((away**2).sum() / known)))
+
     @property
     def torque(self) -> Array:
         """Torque (N, n) after the changes."""
@@ -59,6 +76,11 @@ class Hypothesis:
         return replace(self, motion=motion, given=self.evidence.normal(motion, W))
 
 
+def curvature_half(low: float, middle: float, high: float, step: float) -> float:
+    """Half of the 95 % interval of a number with the scores at it and a step to either side."""
+    return NORMAL * step * float(np.sqrt(2.0 / max(low + high - 2.0 * middle, 1e-9)))
+
+
 def first_hypothesis(evidence: DiagnoseInput) -> Hypothesis:
     """The recording as it is."""
     return Hypothesis(
@@ -69,8 +91,9 @@ def first_hypothesis(evidence: DiagnoseInput) -> Hypothesis:
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """Possible mistake in some joints (indices), and the recording without it; `most`: its gravest
-    severity. `estimate`: its number with its unit, `interval` (95 %) of that number. `unknowns`:
-    numbers that it fits, `choices`: candidates of its kind that were tried."""
+    severity. `estimate`: its number with its unit, `interval` (95 %) of that number, or the number
+    itself, a step of it, and the hypotheses `along` it. `unknowns`: numbers that it fits,
+    `choices`: candidates of its kind that were tried."""
 
     name: str
     joints: tuple[int, ...]
@@ -83,22 +106,43 @@ class Candidate:
     interval: tuple[float, float] | None = None
     unknowns: float | None = None
     choices: int = 1
+    along: tuple[float, float, Callable[[float], Hypothesis]] | None = None
+    doubt: str = ""  # the edit of a candidate that is no more than a doubt
+    ahead: float = 0.0  # evidence of a load, or of a mistake behind one, that shows after it alone
     is_gross: bool = False  # all torques wrong by more than any model file, whatever the cost
 
     def share(self, before: Hypothesis) -> float:
         """Share of the cost that the candidate removes."""
         return 1.0 - self.hypothesis.fit.cost / before.fit.cost
 
+    def removed(self, before: Hypothesis) -> float:
+        """Cost that the candidate removes from joints and from the penalty: a joint that nothing
+        explains, and that decides nothing, may cost more instead."""
+        old, new = before.fit, self.hypothesis.fit
+        fall = np.append(old.residual**2 - new.residual**2, old.penalty - new.penalty)
+        return float(np.maximum(fall, 0.0).sum())
+
     def gain(self, before: Hypothesis) -> float:
         """Twice the logarithm of the odds that the candidate gains, less 1 for each number that it
         fits: what a number without meaning gains on average."""
         unknowns = UNKNOWNS.get(self.name, 0.0) if self.unknowns is None else self.unknowns
-        return before.fit.score - self.hypothesis.fit.score - unknowns
+        return before.fit.score - self.hypothesis.fit.score - unknowns + self.ahead
 
     def evidence(self, before: Hypothesis) -> float:
         """The gain less twice the logarithm of the number of candidates of its kind, of which one
         gains something by chance."""
         return self.gain(before) - 2.0 * float(np.log(self.choices))
+
+    def number_interval(self) -> tuple[float, float] | None:
+        """Interval of the number, from the scores beside it where it is not known."""
+        if self.interval is not None or self.along is None:
+            return self.interval
+        number, step, at = self.along
+        beside = [at(number + one).fit.score for one in (-step, step)]
+        half = curvature_half(beside[0], self.hypothesis.fit.score, beside[1], step)
+        # A number that is not at the minimum of the score, or that nothing decides, has none.
+        is_closed = min(beside) > self.hypothesis.fit.score and half < abs(number)
+        return (number - half, number + half) if is_closed else None
 
     def alternative(self, before: Hypothesis) -> Alternative:
         """Row of the table of explanations."""
@@ -106,7 +150,7 @@ class Candidate:
             name=self.name,
             joints=tuple(before.evidence.joints[j] for j in self.joints),
             estimate=self.estimate,
-            interval=self.interval,
+            interval=self.number_interval(),
             explains=round(self.share(before), 3),
             evidence=round(self.evidence(before), 1),
             message=self.message,
@@ -119,6 +163,19 @@ def joint_factors(n: int, joints: Sequence[int], factor: float) -> Array:
     factors = np.ones(n)
     factors[list(joints)] = factor
     return factors
+
+
+def gain_edits(evidence: DiagnoseInput, factors: Array, half: float) -> tuple[str, str]:
+    """Return the edit of the gains, times factors (n,) of which the logarithm is known to `half`,
+    and the one without numbers, where these are not sure enough to be written down."""
+    wrong = factors != 1.0
+    size = float(np.exp(np.median(np.log(factors[wrong]))))
+    names = first_names(evidence.names(wrong))
+    doubt = (
+        f"tau = {{ gain = ... }} of {names}: times the gear ratio, drive constant or unit that is "
+        f"missing, between {size * np.exp(-half):.2g} and {size * np.exp(half):.2g}"
+    )
+    return (setting_edit(evidence, "tau", "gain", factors) if half <= SHARP else doubt), doubt
 
 
 def setting_edit(

@@ -254,12 +254,18 @@ def joints_without_fit(evidence: DiagnoseInput) -> Iterator[Finding]:
     poor = [j for j in joints if own.left_out_error(own.columns(j), j) >= alone[j] > 0]
     unknown = [j for j in poor if min(np.sqrt(alone[j]) / evidence.rms[j], near[j]) > UNEXPLAINED]
     of_friction = [j for j in poor if j not in unknown]
+    worse = [j for j in joints if near[j] > 1.0 and j not in unknown]
+    zero = (
+        "a robot near the model file explains the torque of {} worse than zero torque does "
+        f"({100 * near.max():.0f} %)"
+    )
     doubt = "neither the links nor friction explain the torque of {}"
     note = (
         "in parts of time left out of the fit, friction explains the torque of {} as well as "
         "the links do: this recording hardly holds their inertial parameters"
     )
-    for found, severity, text in ((unknown, WARNING, doubt), (of_friction, NOTE, note)):
+    rows = (unknown, WARNING, doubt), (worse, WARNING, zero), (of_friction, NOTE, note)
+    for found, severity, text in rows:
         if found:
             names = tuple(evidence.joints[j] for j in found)
             yield Finding(

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.diagnose_input import DiagnoseInput, terms
+from sysid_bench.diagnosis.diagnose_input import GRAVITY, DiagnoseInput, terms
 from sysid_bench.diagnosis.finding import NOTE
 from sysid_bench.diagnosis.hypothesis import NORMAL, Candidate, Hypothesis, first_hypothesis
 from sysid_bench.errors import SysidBenchError
@@ -19,7 +19,6 @@ from sysid_bench.types import Array, Recording
 
 ANGLE: Final = 10.0
 """Degrees; below it the base may simply not be level."""
-STANDARD: Final = 9.81
 
 LINK: Final = "link"
 UNSURE: Final = 10.0
@@ -30,7 +29,7 @@ def gravity_direction(before: Hypothesis) -> Iterator[Candidate]:
     """Yield candidates with gravity along each axis of the base, and along the fitted vector."""
     e = before.evidence
     declared = e.robot.tree.gravity
-    size = float(np.linalg.norm(declared)) or STANDARD
+    size = float(np.linalg.norm(declared)) or GRAVITY
     at_rest = replace(before.motion, v=0 * before.motion.v, a=0 * before.motion.a)
     inertial = e.regressor(before.motion) - e.regressor(at_rest)
     # Link columns are linear in gravity: those of three unit vectors give all of them.
@@ -39,14 +38,23 @@ def gravity_direction(before: Hypothesis) -> Iterator[Candidate]:
     fitted = _fitted_gravity(before, inertial, axes)
     norm = float(np.linalg.norm(fitted)) or 1.0
     for g in [*np.eye(3) * size, *-np.eye(3) * size, fitted * size / norm]:
-        if _angle(g, declared) > ANGLE:
+        angle = _angle(g, declared)
+
+        def turned(by: float, g: Array = g, angle: float = angle) -> Hypothesis:
+            across = g - declared * (g @ declared) / max(float(declared @ declared), 1e-9)
+            across *= size / max(float(np.linalg.norm(across)), 1e-9)
+            there = declared * np.cos(np.radians(by)) + across * np.sin(np.radians(by))
+            there = g if by == angle else there  # towards g and beyond
+            return before.with_columns(inertial + np.tensordot(there, axes, axes=1))
+
+        if angle > ANGLE:
             yield Candidate(
-                "gravity", tuple(range(e.count)),
-                before.with_columns(inertial + np.tensordot(g, axes, axes=1)),
+                "gravity", tuple(range(e.count)), turned(angle),
                 f"gravity fits {_text(fitted)} m/s^2 in the base frame, "
                 f"{_angle(fitted, declared):.0f} degrees from the declared {_text(declared)}",
                 f"gravity = {_text(g)} in the robot's manifest, or turn the base in the model",
                 "links without inertias, and motions in which gravity does little",
+                estimate=f"{angle:.0f} degrees", along=(angle, 3.0, turned),
             )  # fmt: skip
 
 

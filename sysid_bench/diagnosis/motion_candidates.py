@@ -25,6 +25,8 @@ SMALLEST: Final = 0.05
 """rad, m; smaller offsets lie within the spread of centres of mass."""
 QUARTERS: Final = (0.5 * np.pi, -0.5 * np.pi, np.pi)
 """rad; zeros of other conventions."""
+ZERO_STEP: Final = 0.03
+"""rad, m, beside an offset, where the score is taken for its interval."""
 STEP: Final = 1e-4
 TRIED: Final = (0.4, 0.2, 0.1, 0.05, 0.025, 0.01, 0.004)
 STEPS: Final = 4
@@ -39,6 +41,8 @@ POSITION_UNITS: Final = {"hinge": ("rad", "deg"), "slide": ("m", "mm")}
 MOST: Final = 1.5
 """Range and speed of the motion in another unit, relative to the limits of the joint, above which
 it is none."""
+LEAST_MOTION: Final = {"hinge": 0.1, "slide": 0.01}
+"""Range of the joint that moves most: nobody records less, in which all torques are friction."""
 BLIND_UNIT: Final = "balanced joints; slides parallel to gravity and vertical axes that move slowly"
 
 
@@ -52,13 +56,16 @@ def sampling_rate(before: Hypothesis) -> Iterator[Candidate]:
     gravity = e.regressor(replace(before.motion, v=0 * before.motion.v, a=0 * before.motion.a))
     for factor in RATES:
         # Inertial and Coriolis torques are quadratic in the rate; gravity does not depend on it.
-        columns = gravity + factor**2 * (W - gravity)
+        def at(rate: float) -> Hypothesis:
+            columns = gravity + (rate / e.rate) ** 2 * (W - gravity)
+            return before.with_columns(columns, before.motion.with_rate(rate / e.rate))
+
         rate = factor * e.rate
         yield Candidate(
-            "rate", tuple(range(e.count)),
-            before.with_columns(columns, before.motion.with_rate(factor)),
+            "rate", tuple(range(e.count)), at(rate),
             f"inertial torques fit a rate of about {rate:.4g} Hz, not {e.rate:.4g} Hz",
             f'rate = "{rate:.4g} Hz"', "slow motion, whose torques are gravity and friction alone",
+            estimate=f"{rate:.4g} Hz", along=(rate, 0.02 * rate, at),
         )  # fmt: skip
 
 
@@ -97,12 +104,17 @@ def _searched(before: Hypothesis, start: Candidate, offset: float) -> Iterator[C
 
 def _moved(before: Hypothesis, j: int, offset: float) -> Candidate:
     e = before.evidence
-    offsets = np.zeros(e.count)
-    offsets[j] = offset
-    moved = before.with_motion(before.motion.with_offset(offsets))
-    message = f"the zero of {e.joints[j]} is off by {-offset:.3g} {POSITION_UNITS[e.kinds[j]][0]}"
-    edit = setting_edit(e, "q", "offset", summands=offsets)
-    return Candidate("offset", (j,), moved, message, edit, BLIND_OFFSET)
+    own = np.eye(e.count)[j]
+
+    def at(zero: float) -> Hypothesis:
+        return before.with_motion(before.motion.with_offset(-zero * own))
+
+    zero = f"{-offset:.3g} {POSITION_UNITS[e.kinds[j]][0]}"
+    return Candidate(
+        "offset", (j,), at(-offset), f"the zero of {e.joints[j]} is off by {zero}",
+        setting_edit(e, "q", "offset", summands=offset * own), BLIND_OFFSET,
+        estimate=zero, along=(-offset, ZERO_STEP, at),
+    )  # fmt: skip
 
 
 def _small_offsets(before: Hypothesis, joints: Sequence[int]) -> Array:
@@ -205,7 +217,9 @@ def _restated(
     reach = MOST * (limits.q_high[dofs] - limits.q_low[dofs])
     within = np.ptp(restated.q[:, joints], axis=0) <= reach
     slow = np.abs(restated.v[:, joints]).max(axis=0) <= MOST * limits.v[dofs]
-    if not (within & slow).all():
+    least = [LEAST_MOTION[e.kinds[j]] for j in joints]
+    moves = np.ptp(restated.q[:, joints], axis=0) > least
+    if not (within & slow).all() or not moves.any():
         return
     names = ", ".join(e.joints[j] for j in joints)
     was = " or ".join(dict.fromkeys(stated[j] for j in joints))

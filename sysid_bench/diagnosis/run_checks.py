@@ -27,8 +27,8 @@ GROUPS: Final[Sequence[tuple[str, Sequence[Callable[[DiagnoseInput], Iterable[Fi
 
 
 def diagnose(evidence: DiagnoseInput, accept: Collection[str] = ()) -> list[Finding]:
-    """Return the findings, the gravest first and then in the order of the groups, up to the first
-    contradiction whose name is not in `accept`.
+    """Return the findings, the gravest first, of these those with alternatives, and then in the
+    order of the groups, up to the first contradiction whose name is not in `accept`.
 
     Behind an accepted one contradictions are warnings: their tests take for granted what it denies.
     """
@@ -40,9 +40,10 @@ def diagnose(evidence: DiagnoseInput, accept: Collection[str] = ()) -> list[Find
         findings += found
         if contradictions_left(findings, accept):
             break
-    return sorted(findings, key=lambda one: SEVERITIES.index(one.severity))
+    # A defect of a channel costs accuracy; what contradicts the model makes the answer wrong.
+    return sorted(findings, key=lambda one: (SEVERITIES.index(one.severity), not one.alternatives))
 
 
 def contradictions_left(findings: Sequence[Finding], accept: Collection[str]) -> list[Finding]:
-    """Return the contradictions that are not accepted."""
-    return [one for one in findings if one.is_error and one.name not in accept]
+    """Return the contradictions that are not accepted, nor is an explanation that is as likely."""
+    return [one for one in findings if one.is_error and not {one.name, *one.as_likely} & {*accept}]

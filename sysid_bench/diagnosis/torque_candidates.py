@@ -1,18 +1,22 @@
 """Candidates that change torques: their signs, columns and gains, and a load at the tool."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 
+from sysid_bench.diagnosis.diagnose_input import TOOL
 from sysid_bench.diagnosis.finding import ERROR, WARNING
+from sysid_bench.diagnosis.gain_candidates import WIDEST
 from sysid_bench.diagnosis.hypothesis import (
     NORMAL,
     Candidate,
     Hypothesis,
     columns_edit,
+    curvature_half,
+    gain_edits,
     joint_factors,
     setting_edit,
 )
@@ -24,17 +28,17 @@ from sysid_bench.types import Array
 EXCHANGED: Final = 0.5
 """Cost below which three or more columns cannot be exchanged."""
 
-FACTORS: Final = np.logspace(-4, 4, 17)
-"""Gains tried: two to a decade; the best one is refined by steps that are halved."""
-HALVED: Final = 6
-WIDEST: Final = 0.5 * float(np.log(10.0))
-"""Half of the widest interval of a gain that is one, in the logarithm."""
+FACTORS: Final = np.logspace(-4, 4, 9)
+"""Gains tried: one to a decade; the best one is refined by steps that are halved."""
+HALVED: Final = 7
+LIKELY: Final = 1.25
+"""A gain of one joint that may be as small lies within the spread of masses."""
 SMALLEST: Final = 1.8
 """A smaller gain may be the spread of masses between a model file and its robot as well."""
+SAME: Final = 3.0
+"""A gain of all joints that may be smaller may be that of all masses: nothing tells them apart."""
 GROSS: Final = 10.0
 """No model file is wrong by a larger one in all of its masses."""
-MASSLESS: Final = 0.01
-"""Mass, relative to the heaviest link, that rounding and spread give links without any."""
 KNOWN: Final = {1e3: "mN m for N m", 180 / np.pi: "degrees for radians in a gain"}
 """Ratios of units."""
 CLOSE: Final = 0.3
@@ -45,9 +49,6 @@ BLIND_GAIN: Final = (
     "axes; a common factor below 2 needs a known load"
 )
 
-TYPICAL: Final = 0.1
-"""Mass and size of a tool over those of its robot: numbers that the torque leaves open by more than
-such a tool has are not fitted, and do not count as unknowns."""
 FARTHEST: Final = 0.5
 """Distance of a load's centre of mass from the body that carries it, and radius of gyration, as
 shares of the robot's length, above which it is none."""
@@ -105,55 +106,66 @@ def torque_gain(before: Hypothesis) -> Iterator[Candidate]:
     one joint: units, gear ratios, motor side, drive constants."""
     n = before.evidence.count
     yield from _gain(before, tuple(range(n)))
-    for one in _gain(_with_load(before), tuple(range(n))) if _may_carry(before) else ():
+    for one in _gain(with_load(before), tuple(range(n))) if may_carry(before) else ():
         # Links near the file are too light for a load: without it the gain would be too large.
-        mass, load = one.hypothesis.fit.links[-10], _load_unknowns(one.hypothesis)
-        text = f"{one.message}, and a load of {mass:.3g} kg at the tool that the model lacks"
-        yield replace(one, message=text, unknowns=1.0 + load)
+        if (carried := _load_mass(one.hypothesis)) is not None:
+            text = f"{one.message}, and a load of {carried[0]:.3g} kg that the model lacks"
+            yield replace(one, message=text, unknowns=1.0 + load_unknowns(one.hypothesis))
     for j in range(n):
         yield from _gain(before, (j,))
 
 
 def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
-    e = before.evidence
+    e, is_common = before.evidence, len(joints) == before.evidence.count
 
-    def scaled(factor: float) -> Hypothesis:
-        return before.with_torque(np.diag(joint_factors(e.count, joints, factor)))
+    def scaled(factor: float, some: Sequence[int] = joints) -> Hypothesis:
+        return before.with_torque(np.diag(joint_factors(e.count, some, factor)))
 
     scores = [scaled(factor).fit.score for factor in FACTORS]
     factor, best = float(FACTORS[np.argmin(scores)]), min(scores)
     if factor in FACTORS[[0, -1]]:
         return
-    step = 0.25 * np.log(10.0)
-    for _ in range(HALVED):
+    for halved in range(HALVED):
+        step = WIDEST * 0.5**halved
         near = [factor * np.exp(-step), factor * np.exp(step)]
         beside = [scaled(one).fit.score for one in near]
         if min(beside) < best:
             factor, best = near[int(np.argmin(beside))], min(beside)
-        step *= 0.5
-    bend = sum(scaled(factor * np.exp(one)).fit.score for one in (-0.1, 0.1)) - 2 * best
-    size, half = max(factor, 1 / factor), NORMAL * 0.1 * np.sqrt(2.0 / max(bend, 1e-9))
+        if factor == 1 and halved and not is_common:
+            return  # what is left are gains within the spread of masses
+    low, high = (scaled(factor * np.exp(one)).fit.score for one in (-0.1, 0.1))
+    size, half = max(factor, 1 / factor), curvature_half(low, best, high, 0.1)
     # The 95 % interval has to have two ends, to leave 1 out and to hold less than a decade, or the
     # recording says nothing; links or a tool of which the file says nothing may be far heavier.
     closed = min(before.fit.score, scores[0], scores[-1]) > best + NORMAL**2
-    least = FREE if e.placeholder and factor < 1 else 1.0
-    decided, found = closed and half < min(np.log(size / least), WIDEST), scaled(factor)
-    # No link may need a negative mass; links without one in the file are left aside.
-    mass = found.fit.links[::10]
-    possible = e.placeholder != "" or bool((mass > -MASSLESS * mass.max()).all())
-    if not (decided and possible):
+    least = 1.0 if is_common else LIKELY
+    least = FREE if e.placeholder and factor < 1 else least
+    if not (closed and half < min(np.log(size / least), WIDEST)):
         return
-    names = "all joints" if len(joints) == e.count else e.joints[joints[0]]
+    # No link may need a negative mass; links without one in the file are left aside.
+    found = scaled(factor)
+    heaviest = found.fit.links[::10] + NORMAL * e.link_std[::10] * np.sqrt(found.variances[::10])
+    half *= found.strain
+    if half > WIDEST or not (e.placeholder or (heaviest >= 0).all()):
+        return
+    names, cause = "all joints" if is_common else e.joints[joints[0]], _cause(size, half)
+    if is_common and size >= SMALLEST and cause not in KNOWN.values():
+        others = {j: scaled(factor, [i for i in joints if i != j]) for j in joints}
+        deciding = [j for j in joints if others[j].fit.score > best + NORMAL**2]
+        if 1 < len(deciding) < len(joints):
+            names = ", ".join(e.joints[j] for j in deciding)
+            cause += "; the torques of the other joints do not decide it"
+            joints, found = tuple(deciding), scaled(factor, deciding)
     interval = float(size * np.exp(-half)), float(size * np.exp(half))
     estimate = f"{size:.3g} times too {'small' if factor > 1 else 'large'}"
     between = f"{level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}]"
+    most = ERROR if interval[0] >= (SAME if is_common else SMALLEST) else WARNING
+    edit, doubt = gain_edits(e, joint_factors(e.count, joints, factor), half)
     yield Candidate(
-        "gain", joints, found,
-        f"the torque of {names} is about {estimate} ({between}): {_cause(size, half)}",
-        setting_edit(e, "tau", "gain", joint_factors(e.count, joints, factor)), BLIND_GAIN,
-        most=ERROR if size >= SMALLEST else WARNING, estimate=estimate, interval=interval,
+        "gain", joints, found, f"the torque of {names} is about {estimate} ({between}): {cause}",
+        edit, BLIND_GAIN, most=most, doubt=doubt, estimate=estimate, interval=interval,
         # Links without mass fit small torques as well, at no cost but the prior's.
-        is_gross=len(joints) == e.count and interval[0] > GROSS and e.placeholder == "",
+        is_gross=is_common and interval[0] > GROSS and e.placeholder == "",
     )  # fmt: skip
 
 
@@ -175,20 +187,12 @@ def tool_load(before: Hypothesis) -> Iterator[Candidate]:
     """Yield the candidate with ten unknown inertial parameters at the tool, where these are those
     of a body: of positive mass, and not far larger than the robot."""
     e = before.evidence
-    if not _may_carry(before):
+    if not may_carry(before):
         return
-    loaded = _with_load(before)
-    phi = loaded.fit.links[-10:]
-    # Inertias that the motion hardly excites may have any sign: half of their trace decides.
-    total = float(e.file_parameters[:, 0].sum())
-    mass, farthest = float(phi[0]), FARTHEST * length(e.robot)
-    turning = 0.5 * abs(phi[4] + phi[7] + phi[9])
-    is_near = np.linalg.norm(phi[1:4]) <= farthest * mass and turning <= farthest**2 * mass
-    # No arm carries a load heavier than itself.
-    if not (0 < mass < total and is_near):
+    loaded = with_load(before)
+    if (found := _load_mass(loaded)) is None:
         return
-    half = coverage_factor(np.inf) * float(np.sqrt(_load_variances(loaded)[0]))
-    interval = max(mass - half, 0.0), mass + half
+    mass, interval = found
     body = e.robot.body_names[e.robot.tool_body]
     yield Candidate(
         "load", tuple(range(e.count)), loaded,
@@ -198,17 +202,31 @@ def tool_load(before: Hypothesis) -> Iterator[Candidate]:
         f"payload = {{ mass = {mass:.3g} }}, with its com and inertia, if that was mounted; "
         "identify finds it with the task payload",
         "a last link much heavier than in the model file looks alike", most=WARNING,
-        estimate=f"{mass:.3g} kg", interval=interval, unknowns=_load_unknowns(loaded),
+        estimate=f"{mass:.3g} kg", interval=interval, unknowns=load_unknowns(loaded),
     )  # fmt: skip
 
 
-def _may_carry(before: Hypothesis) -> bool:
+def _load_mass(loaded: Hypothesis) -> tuple[float, tuple[float, float]] | None:
+    """Mass of the load and its interval, None where no body has such moments."""
+    e, phi = loaded.evidence, loaded.fit.links[-10:]
+    # Inertias that the motion hardly excites may have any sign: half of their trace decides.
+    reach, turning = FARTHEST * length(e.robot), 0.5 * abs(phi[4] + phi[7] + phi[9])
+    least = max(float(np.linalg.norm(phi[1:4])) / reach, turning / reach**2)
+    half = coverage_factor(np.inf) * float(np.sqrt(_load_variances(loaded)[0]))
+    # No arm carries a load heavier than itself, and none is far larger than its robot.
+    low = max(float(phi[0]) - half, least)
+    high = min(float(phi[0]) + half, float(e.file_parameters[:, 0].sum()))
+    # A pivot at the centre of rotation of a wrist leaves the mass open, not the moments.
+    return (float(np.clip(phi[0], low, high)), (low, high)) if 0 < low <= high else None
+
+
+def may_carry(before: Hypothesis) -> bool:
     """True where a load is not there yet, and moves with links of which the file says something."""
     e = before.evidence
     return not (e.loaded or e.placeholder) and e.robot.tree.carrier[e.robot.tool_body] >= 0
 
 
-def _with_load(before: Hypothesis) -> Hypothesis:
+def with_load(before: Hypothesis) -> Hypothesis:
     """The hypothesis with a load at the tool."""
     return replace(before, evidence=replace(before.evidence, loaded=True), given=None)
 
@@ -216,13 +234,14 @@ def _with_load(before: Hypothesis) -> Hypothesis:
 def _load_variances(loaded: Hypothesis) -> Array:
     """Variances (10,) of the load."""
     std = loaded.evidence.link_std[-10:]
-    return np.asarray(loaded.model.variances(loaded.mixing)[-10:] * std**2)
+    return np.asarray(loaded.variances[-10:] * std**2)
 
 
-def _load_unknowns(loaded: Hypothesis) -> float:
-    """Numbers of the load that the torque decides."""
+def load_unknowns(loaded: Hypothesis) -> float:
+    """Numbers of the load that the torque decides: those that it leaves open by more than a tool
+    has are not fitted."""
     e = loaded.evidence
-    reach = TYPICAL * length(e.robot)
-    mass = TYPICAL * float(e.file_parameters[:, 0].sum())
+    reach = TOOL * length(e.robot)
+    mass = TOOL * float(e.file_parameters[:, 0].sum())
     tool = mass * np.array([1.0, *[reach] * 3, *[reach**2] * 6])
     return float((tool**2 / (tool**2 + _load_variances(loaded))).sum())

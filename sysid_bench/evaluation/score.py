@@ -12,20 +12,11 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.evaluation.intervals import StandardError, held
-from sysid_bench.evaluation.torque_errors import (
-    RowErrors,
-    joint_figures,
-    row_rms,
-    torque_figures,
-)
+from sysid_bench.evaluation.torque_errors import RowErrors, joint_figures, row_rms, torque_figures
 from sysid_bench.identifiability.base_expressions import APART, parameter_verdict
 from sysid_bench.identification.linear.least_squares import data_rank, stacked_factor
 from sysid_bench.numerics import qr_factor
-from sysid_bench.spatial import (
-    body_mass_inertia,
-    feasible_margins,
-    pseudo_inertia_distance,
-)
+from sysid_bench.spatial import body_mass_inertia, feasible_margins, pseudo_inertia_distance
 from sysid_bench.types import Array, BodyExtents, Estimate, Problem, Score, Truth
 
 MAX_DENSITY: Final = 8000.0

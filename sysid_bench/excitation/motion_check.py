@@ -14,11 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import Joint
-from sysid_bench.spatial import (
-    composed_rotation,
-    inverse_quaternion,
-    rotation_of_quaternion,
-)
+from sysid_bench.spatial import composed_rotation, inverse_quaternion, rotation_of_quaternion
 from sysid_bench.types import Array, Trajectory
 
 SHORTEST: Final = 4

@@ -260,10 +260,7 @@ class Optimised:
         return space.motion(C, space.curves.grid(_DENSER))
 
     def _checked(
-        self,
-        brief: DesignProblem,
-        evaluation: DesignCost,
-        more: Sequence[tuple[float, Array]] = (),
+        self, brief: DesignProblem, evaluation: DesignCost, more: Sequence[tuple[float, Array]] = ()
     ) -> tuple[Array, float]:
         """Return the best motion within the limits on the finer grid, of those kept and of `more`,
         and its value."""

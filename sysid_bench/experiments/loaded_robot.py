@@ -75,11 +75,7 @@ def loaded_robot(
 
 @lru_cache(maxsize=KEPT)
 def _load(
-    source: str,
-    payload: str,
-    robots_dir: str | None,
-    folder: str | None,
-    free_base: bool | None,
+    source: str, payload: str, robots_dir: str | None, folder: str | None, free_base: bool | None
 ) -> LoadedRobot:
     robots, suite = (None if path is None else Path(path) for path in (robots_dir, folder))
     manifest = find_manifest(source, robots, suite)

@@ -164,7 +164,7 @@ def _torques(robot: RobotModel) -> Iterator[_Fact]:
             drawn = np.array([int.from_bytes(digest[:6]) / 2**47 - 1.0 for digest in digests])
             q, v, a = _REACH[kind in (HINGE, BALL)]
             at = slice(joint.vadr, joint.vadr + len(joint.dofs))
-            turn = drawn[-4:] / np.linalg.norm(drawn[-4:])
+            turn = drawn[-4:]  # MuJoCo makes it a unit quaternion
             place = {FREE: [*drawn[:3], *turn], BALL: turn}.get(kind, q * drawn[:1])
             first = joint.qadr
             data.qpos[first : first + COORDINATES[kind]] = place
@@ -175,7 +175,7 @@ def _torques(robot: RobotModel) -> Iterator[_Fact]:
         mujoco.mj_kinematics(mj, data)
         mujoco.mj_comPos(mj, data)
         mujoco.mj_comVel(mj, data)
-        mujoco.mj_rne(mj, data, 1, torque)
+        mujoco.mj_rne(mj, data, True, torque)
     for joint in robot.joints:
         yield joint.name, TORQUE, torques[:, joint.vadr : joint.vadr + len(joint.dofs)].ravel()
 

@@ -209,10 +209,7 @@ class TorqueFit:
 
 
 def write_findings_html(
-    path: Path,
-    title: str,
-    findings: Sequence[Mapping[str, Any]],
-    torques: Sequence[TorqueFit],
+    path: Path, title: str, findings: Sequence[Mapping[str, Any]], torques: Sequence[TorqueFit]
 ) -> Path:
     """Write the page into an .html file, complete in itself."""
     samples = [

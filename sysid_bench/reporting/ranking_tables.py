@@ -9,13 +9,7 @@ import numpy as np
 from sysid_bench.errors import count_text
 from sysid_bench.evaluation.intervals import ROBOTS, level_text
 from sysid_bench.evaluation.robot_statistic import RatioFigure, least_p
-from sysid_bench.reporting.ranking import (
-    ALIKE,
-    BROKEN,
-    MOST_FALLBACKS,
-    MethodRatio,
-    Ranking,
-)
+from sysid_bench.reporting.ranking import ALIKE, BROKEN, MOST_FALLBACKS, MethodRatio, Ranking
 from sysid_bench.reporting.tables import METRIC, NO_ENTRY, Entry, Key, Table
 from sysid_bench.types import Metric
 

@@ -40,7 +40,7 @@ def recording_layout(cell: CellData, timeline: str, rows: Sequence[str]) -> rrb.
     torques = _torque_page(rows)
     parts: list[rrb.Container | rrb.View] = [
         # Curves of an on-line estimator stand behind a tab.
-        rrb.Tabs(torques, _curve_page(cell)) if cell.curves else torques,
+        rrb.Tabs(torques, _curve_page(cell)) if cell.curves else torques
     ]
     if cell.predicted is not None:
         parts.append(rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual"))

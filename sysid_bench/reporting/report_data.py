@@ -274,9 +274,7 @@ _LARGEST_WHOLE: Final = 1e9
 
 
 def cells_to_json(
-    cells: "pd.DataFrame",
-    recordings: Mapping[str, str],
-    metrics: Mapping[str, Metric] = METRICS,
+    cells: "pd.DataFrame", recordings: Mapping[str, str], metrics: Mapping[str, Metric] = METRICS
 ) -> dict[str, Any]:
     """All cells as columns of JSON data: words as numbers of a dictionary, four digits of a metric.
 

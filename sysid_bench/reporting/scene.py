@@ -112,10 +112,7 @@ def _geometry(shape: Shape, colour: tuple[int, int, int]) -> rr.AsComponents:
 
 
 def _log_sticks(
-    stream: rr.RecordingStream,
-    scene: RecordingScene,
-    positions: np.ndarray,
-    times: rr.TimeColumn,
+    stream: rr.RecordingStream, scene: RecordingScene, positions: np.ndarray, times: rr.TimeColumn
 ) -> None:
     """Thick lines between the origins of bare bodies and their neighbours, balls at the joints."""
     # A fortieth of the robot's reach: visible for a finger and for a crane.

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, first_names
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import COMPONENTS
 from sysid_bench.signals import log_checks
@@ -67,6 +67,8 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     raw, velocity = _without_constant_velocity(read_samples(description, robot))
     stamps = read_time(description, len(raw))
     invalid = log_checks.check_finite(*raw.measured)
+    if (~invalid).sum() < SHORTEST <= len(raw):
+        _check_columns(description, raw)
     t, rate, timing = time_base(description, stamps, invalid)
     grid = _uniform_grid(description, t, invalid, rate)
     raw = with_commanded_torque(description, raw, grid)
@@ -104,6 +106,21 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         commands=commands_of(description, raw, grid),
         base=samples.base,
     )
+
+
+def _check_columns(log: LogDescription, raw: Samples) -> None:
+    """Raise UsageError for columns with hardly any number: they leave no sample to use."""
+    empty = [
+        f"{signal} of {joint!r}"
+        for signal, x in raw.signals.items()
+        for joint, column in zip(log.joints, x.T, strict=True)
+        if joint != NO_JOINT and (~log_checks.check_finite(column[:, None])).sum() < SHORTEST
+    ]
+    if empty:
+        raise UsageError(
+            f"{log.source}: {first_names(empty)} has no numbers in {len(raw)} samples (nan, inf or "
+            "beyond any measurement): correct the column, or leave the joint out of joints."
+        )
 
 
 def _without_constant_velocity(samples: Samples) -> tuple[Samples, list[Finding]]:

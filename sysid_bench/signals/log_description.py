@@ -25,18 +25,7 @@ NO_JOINT: Final = "-"
 """Stands in `joints` for a recorded coordinate that is not a joint of the model (a gripper's)."""
 
 _UNCHANGED: Final = (
-    *(
-        "joints",
-        "q",
-        "v",
-        "tau",
-        "q_ref",
-        "v_ref",
-        "wrench",
-        "base",
-        "reader",
-        "controller",
-    ),
+    *("joints", "q", "v", "tau", "q_ref", "v_ref", "wrench", "base", "reader", "controller"),
     *("payload", "rows", "share", "locked"),
 )
 """Keys that a description has as they are written."""

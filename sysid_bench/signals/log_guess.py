@@ -14,13 +14,7 @@ from sysid_bench.signals import column_names
 from sysid_bench.signals.column_names import role_of, words_of
 from sysid_bench.signals.column_roles import DOUBT
 from sysid_bench.signals.log_checks import check_finite, check_rates
-from sysid_bench.signals.log_columns import (
-    Columns,
-    Found,
-    Tables,
-    find_columns,
-    stamp_unit,
-)
+from sysid_bench.signals.log_columns import Columns, Found, Tables, find_columns, stamp_unit
 from sysid_bench.signals.log_description import NO_JOINT
 from sysid_bench.signals.log_keys import GAIN_ADVICE, find_preset, preset_keys
 from sysid_bench.signals.log_samples import scalar_kinds

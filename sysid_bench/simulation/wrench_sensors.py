@@ -9,11 +9,7 @@ import numpy as np
 
 from sysid_bench.models.sensor import SensorSubtree
 from sysid_bench.simulation.plant import Plant, check_finite
-from sysid_bench.spatial import (
-    matrix_of_quaternion,
-    quaternion_of_matrix,
-    quaternion_of_rotation,
-)
+from sysid_bench.spatial import matrix_of_quaternion, quaternion_of_matrix, quaternion_of_rotation
 from sysid_bench.types import Array, Trajectory
 
 LEVER: Final = 0.1

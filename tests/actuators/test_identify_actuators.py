@@ -71,7 +71,9 @@ def test_the_command_prints_and_writes_what_its_contract_says(folder: Path) -> N
         result["rollout_error_null"], result["rollout_error_command"]
     )
     assert result["beaten_by"] == ""
-    assert f"{1e3 * result['rollout_error_command']:.2f} mrad" in found.output
+    first = found.output.splitlines()[0]
+    assert f"err by {1e3 * result['rollout_error']:.2f} mrad" in first
+    assert f"themselves {1e3 * result['rollout_error_command']:.2f})" in first
     low, high = result["delay_interval"]
     assert low <= result["delay"] <= high
     for name, joint in result["joints"].items():

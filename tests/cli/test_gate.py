@@ -285,3 +285,20 @@ def test_a_cell_alone_is_judged_as_the_gate_judges_it(edit: str, copied: Path) -
         text = cell_text(cell, row, baseline, run)
         assert bool(text) == (cell.id in wrong)
         assert ("Joints that changed" in text) == (edit == "model")
+
+
+def test_a_row_without_a_baseline_has_to_be_ok_and_cross_checked(stored: Path) -> None:
+    run = open_run(stored / "run")
+    cell = run.plan.cells[0]
+    row = run.row(cell.id)
+    assert row is not None
+    for changes, first in (
+        ({}, ""),
+        ({"crosscheck": "passed"}, ""),
+        ({"crosscheck": "failed", "reason": None}, "the cross-check failed"),
+        ({"crosscheck": "failed", "reason": "a gap of 1e-3"}, "a gap of 1e-3"),
+        ({"status": "failed", "reason": "no answer"}, "no answer"),
+    ):
+        text = cell_text(cell, {**row, **changes}, None, run)
+        assert text.partition("\n")[0] == first
+        assert bool(text) == (f"--select 'id == \"{cell.id}\"'" in text)

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.diagnosis.channel_checks import copied_channels, wrapped_channels
+from sysid_bench.diagnosis.channel_checks import copied_channels, spikes, wrapped_channels
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
-from sysid_bench.diagnosis.finding import ERROR, Finding
+from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
 from sysid_bench.diagnosis.joint_checks import unsigned_torque
 from sysid_bench.diagnosis.run_checks import diagnose
+from sysid_bench.errors import UsageError
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.types import Array
@@ -129,3 +130,25 @@ def test_joints_that_move_alike_are_not_exchanged(tmp_path: Path, noisy: int) ->
     alike = Recorded(log.joints, log.t, np.tile(chirp[:, None], 6), v, log.tau)
     found = read_log(read_description(write(tmp_path, alike)), robot).findings
     assert not [one.text for one in found if one.name == "velocity"]
+
+
+@pytest.mark.parametrize("joint", FIRST_MIDDLE_LAST)
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_column_without_numbers_is_named(tmp_path: Path, joint: int, stamped: bool) -> None:
+    log, robot = log_of("ur5"), named_robot("ur5")
+    empty = replace(log, tau=only(log.tau, joint, np.full(len(log.t), np.nan)))
+    timing: dict[str, Any] = {"time": 1, "rate": None} if stamped else {}
+    description = read_description(write(tmp_path, empty, **timing))
+    with pytest.raises(UsageError, match=f"tau of '{robot.rows[joint]}' has no numbers"):
+        read_log(description, robot)
+
+
+@pytest.mark.parametrize(("height", "severity"), [(8.0, WARNING), (1e5, ERROR)])
+def test_spikes_that_are_most_of_a_channel_are_errors(
+    tmp_path: Path, height: float, severity: str
+) -> None:
+    log, tau = log_of("ur5"), log_of("ur5").tau[:, 1].copy()
+    tau[40::300] = height * np.sqrt((tau**2).mean())
+    spiked = evidence(tmp_path, replace(log, tau=only(log.tau, 1, tau)), named_robot("ur5"))
+    (found,) = spikes(spiked)
+    assert (found.severity, found.joints) == (severity, log.joints[1:2])

@@ -64,7 +64,9 @@ def test_a_gain_of_all_joints_is_found_behind_a_tool(
     made = evidence(tmp_path, replace(log, tau=factor * log.tau), named_robot(name))
     first = contradictions(made)[0]
     assert first.name == "gain"
-    np.testing.assert_allclose(np.array(numbers(first.edit)) * factor, 1.0, rtol=0.4)
+    np.testing.assert_allclose(
+        float(first.alternatives[0].estimate.split()[0]), max(factor, 1 / factor), rtol=0.4
+    )
     assert re.findall(r"load of ([\d.]+) kg", first.message)
 
 
@@ -74,3 +76,51 @@ def test_a_joint_without_motion_and_torque_has_no_gain(tmp_path: Path) -> None:
     free = np.arange(len(robot.rows)) != 6
     log = replace(log, q=log.q * free, v=log.v * free, tau=log.tau * free)
     assert not list(joint_gains(first_hypothesis(evidence(tmp_path, log, robot))))
+
+
+@pytest.mark.parametrize(("name", "mass"), [("ur5", 3.0), ("panda", 3.0)])
+def test_a_mistake_hidden_behind_a_load_comes_first(tmp_path: Path, name: str, mass: float) -> None:
+    log = replace(loaded_log(name, mass), joints=named_robot(name).rows)
+    signs = np.where(np.arange(log.tau.shape[1]) == 2, -1.0, 1.0)
+    found = contradictions(evidence(tmp_path, replace(log, tau=log.tau * signs), named_robot(name)))
+    assert [one.name for one in found[:2]] == ["sign", "load"]
+    assert found[0].is_error
+    assert found[0].joints == log.joints[2:3]
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_a_factor_that_is_not_sure_is_no_number_in_a_cure(tmp_path: Path, factor: float) -> None:
+    """Whatever is found: numbers in a cure are right within 3 on each joint that they change."""
+    log, robot = log_of("tx40"), named_robot("tx40")
+    for wrong in ((0,), (1, 2), (4, 5)):
+        gains = np.where(np.isin(np.arange(6), wrong), factor, 1.0)
+        made = evidence(tmp_path, replace(log, tau=log.tau * gains), robot)
+        for found in contradictions(made):
+            if "gain = [" in found.edit:
+                cure = np.array(numbers(found.edit))
+                changed = cure != 1.0
+                assert (np.abs(np.log(cure * gains))[changed] < np.log(3)).all(), found.message
+
+
+@pytest.mark.parametrize("name", ["ur5", "kinova"])
+def test_friction_far_beyond_what_a_drive_holds_is_a_unit(tmp_path: Path, name: str) -> None:
+    """Friction alone: no link decides the factor."""
+    robot, log = named_robot(name), log_of(name)
+    held = evidence(tmp_path, log, robot).holding
+    friction = 0.1 * held * np.tanh(log.v / 0.02)
+    slow = replace(log, tau=1e-3 * log.tau + friction)
+    scores = [
+        first_hypothesis(evidence(tmp_path, replace(slow, tau=k * slow.tau), robot)).fit.score
+        for k in (1.0, 1e3)
+    ]
+    assert scores[1] - scores[0] > 6.0
+
+
+def test_explanations_with_a_number_have_its_interval(tmp_path: Path) -> None:
+    log = log_of("ur5")
+    moved = replace(log, q=log.q + 0.4 * np.eye(6)[1])
+    first, *_ = contradictions(evidence(tmp_path, moved, named_robot("ur5")))
+    zero = first.alternatives[0]
+    assert (zero.name, zero.estimate.split()[1]) == ("offset", "rad")
+    low, high = zero.interval or (0.0, 0.0)
+    assert 0.0 < low < 0.4 < high

@@ -4,6 +4,7 @@ paste for simulators of many robots.
 Fields of the text are those of mjlab 1.6 (`BuiltinPositionActuatorCfg`) and Isaac Lab 2.3
 (`DelayedPDActuatorCfg`), whose delays are counted in steps of the physics."""
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -136,15 +137,41 @@ class JointSettings:
     armature: float
     damping: float
     friction: float
+    slides: bool = False
 
 
 def settings_text(
     joints: Mapping[str, JointSettings], delay: tuple[float, float], step: float = STEP
 ) -> dict[str, str]:
-    """Return texts for "mjlab" and "isaaclab"; the range of the delay (s) is rounded outward to
-    physics steps (s)."""
+    """Return texts for "mjlab", "isaaclab" and "usd" (JSON of a joint's attributes); the range of
+    the delay (s), which USD does not have, is rounded outward to physics steps (s)."""
     # Outward: randomisation should cover the whole interval. 1e-9: a delay of whole steps stays.
     lags = int(np.floor(delay[0] / step + 1e-9)), int(np.ceil(delay[1] / step - 1e-9))
+    return {
+        "mjlab": _mjlab(joints, lags, step),
+        "isaaclab": _isaaclab(joints, lags, step),
+        "usd": json.dumps({name: _usd(one) for name, one in joints.items()}, indent=1),
+    }
+
+
+def _usd(one: JointSettings) -> dict[str, float]:
+    """Attributes of UsdPhysics.DriveAPI and of PhysX's PhysxJointAxisAPI (5.6, Isaac Sim 5.0), of
+    which those over an angle or its rate count in degrees."""
+    kind, unit = ("linear", 1.0) if one.slides else ("angular", np.pi / 180.0)
+    drive, axis = f"drive:{kind}:physics", f"physxJointAxis:{kind}"
+    limit = {} if np.isinf(one.limit) else {f"{drive}:maxForce": one.limit}
+    return {
+        f"{drive}:stiffness": one.kp * unit,
+        f"{drive}:damping": one.kd * unit,
+        **limit,
+        f"{axis}:armature": one.armature,
+        f"{axis}:staticFrictionEffort": one.friction,
+        f"{axis}:dynamicFrictionEffort": one.friction,
+        f"{axis}:viscousFrictionCoefficient": one.damping * unit,
+    }
+
+
+def _mjlab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: float) -> str:
     lines = [f"# mjlab; lags in physics steps of {1e3 * step:g} ms", "actuators = ("]
     for name, one in joints.items():
         effort = "" if np.isinf(one.limit) else f" effort_limit={one.limit:.6g},"
@@ -157,7 +184,7 @@ def settings_text(
             f"        delay_min_lag={lags[0]}, delay_max_lag={lags[1]},",
             "    ),",
         ]
-    return {"mjlab": "\n".join([*lines, ")"]), "isaaclab": _isaaclab(joints, lags, step)}
+    return "\n".join([*lines, ")"])
 
 
 def _isaaclab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: float) -> str:

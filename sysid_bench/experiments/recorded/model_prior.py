@@ -119,10 +119,7 @@ def _links(
 
 
 def _joint_terms(
-    unknowns: Unknowns,
-    problem: Problem,
-    training: Sequence[ProcessedLog],
-    share: float | None,
+    unknowns: Unknowns, problem: Problem, training: Sequence[ProcessedLog], share: float | None
 ) -> tuple[Array, Array]:
     """Mean and deviations (p,) of the joint terms and further columns, zero for the bodies; RMS
     torque of the row over the RMS of the column where no `share` of the mean is stated."""

@@ -7,12 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.evaluation.feasible_body import (
-    GROUPS,
-    FeasibleBody,
-    body_values,
-    feasible_body,
-)
+from sysid_bench.evaluation.feasible_body import GROUPS, FeasibleBody, body_values, feasible_body
 from sysid_bench.evaluation.intervals import confidence_level, coverage_factor, jackknife_std
 from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.recorded.left_out_parts import leave_one_fold_out

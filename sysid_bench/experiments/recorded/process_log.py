@@ -103,10 +103,7 @@ SCALAR: Final = ("hinge", "slide")
 
 
 def lock_manifest(
-    manifest: Manifest,
-    robot: RobotModel,
-    logs: Sequence[LogDescription],
-    takes_base: bool = False,
+    manifest: Manifest, robot: RobotModel, logs: Sequence[LogDescription], takes_base: bool = False
 ) -> Manifest:
     """The manifest with those joints locked that the logs do not list and that depend on none of
     the listed ones. With `takes_base`, a base whose motion is recorded stays free.

@@ -15,11 +15,7 @@ from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.problem import ProblemBuilder, known_model
 from sysid_bench.experiments.simulated.record import SimulatedRobot, sensor_offset
-from sysid_bench.experiments.simulated.sealed_robot import (
-    file_prior,
-    robot_of_plant,
-    stated_spread,
-)
+from sysid_bench.experiments.simulated.sealed_robot import file_prior, robot_of_plant, stated_spread
 from sysid_bench.experiments.spec import (
     PLANT,
     REDRAWN,

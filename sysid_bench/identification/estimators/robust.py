@@ -84,10 +84,7 @@ def tukey_loss(cut: float) -> Loss:
     def inside(u: Array) -> Array:
         return np.maximum(1.0 - (u / cut) ** 2, 0.0)
 
-    return Loss(
-        lambda u: inside(u) ** 2,
-        lambda u: inside(u) * (1.0 - 5.0 * (u / cut) ** 2),
-    )
+    return Loss(lambda u: inside(u) ** 2, lambda u: inside(u) * (1.0 - 5.0 * (u / cut) ** 2))
 
 
 HOLD_AFTER = 10

@@ -89,12 +89,7 @@ def coordinates(feasible: FeasibleSet, x0: Array) -> Coordinates:
 
 
 def newton_fit(
-    rows: Array,
-    origin: Array,
-    chart: Coordinates,
-    eta: Array,
-    weight: float,
-    iterations: int,
+    rows: Array, origin: Array, chart: Coordinates, eta: Array, weight: float, iterations: int
 ) -> tuple[Array, int, float]:
     """Minimise |u|^2 / 2 + weight |eta - eta0|^2 / 2, u (r,) = rows (x(eta) - origin), from eta;
     return (eta, iterations, decrement).

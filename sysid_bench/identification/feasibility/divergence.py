@@ -269,7 +269,6 @@ def _step_limit(roots: Array, direction: Array, terms: Array, more: Array) -> fl
     # J + t D > 0 iff 1 + t L^-1 D L^-T > 0: the smallest eigenvalue gives the largest t.
     turned = roots @ direction @ roots.swapaxes(1, 2)
     most = max(
-        -float(np.linalg.eigvalsh(turned).min(initial=0.0)),
-        -float((more / terms).min(initial=0.0)),
+        -float(np.linalg.eigvalsh(turned).min(initial=0.0)), -float((more / terms).min(initial=0.0))
     )
     return 1.0 / most if most > 0 else np.inf

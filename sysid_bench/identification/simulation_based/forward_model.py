@@ -68,12 +68,7 @@ class AccelerationModel:
         return self.step(measured.rigid(beta), *state, tau, measured.at_standstill(at))
 
     def acceleration(
-        self,
-        beta: Array,
-        q: Array,
-        v: Array,
-        tau: Array,
-        given: tuple[Array, Array] | None = None,
+        self, beta: Array, q: Array, v: Array, tau: Array, given: tuple[Array, Array] | None = None
     ) -> Array:
         """Acceleration (S, n): M^-1 (tau - bias), but that of the joints where it is `given`."""
         return self.solve_acceleration(beta, q, v, tau, given)[0]

@@ -15,7 +15,7 @@ from sysid_bench.apps.actuators.drive_estimate import (
 from sysid_bench.apps.actuators.drive_experiment import rollout_fields
 from sysid_bench.apps.actuators.drive_rows import LEAST, UNKNOWNS, DriveRows
 from sysid_bench.apps.actuators.gain_profile import GainProfile
-from sysid_bench.commands.identify_result import IdentifyResult
+from sysid_bench.commands.identify_result import KNOWN, IdentifyResult
 from sysid_bench.commands.result import OMIT_NONE
 from sysid_bench.errors import SHOWN, first_names
 from sysid_bench.evaluation.baselines import COMMAND, FILE, WORDS, Baselines
@@ -65,8 +65,8 @@ class ActuatorsResult(IdentifyResult):
     files from three on. `motors`: of joints that name one, its `name`, and `armature` with `std`, a
     prior of the fit. `gains` (with `also`): {joints, gain over the stated one, low, high;
     determined} of joints that share one. `lost_motion` (rad, m): {joint: {width of the hysteresis
-    between position and command, 2 fc / kp; std}}. `configurations`: texts for "mjlab" and
-    "isaaclab".
+    between position and command, 2 fc / kp; std}}. `configurations`: texts for "mjlab",
+    "isaaclab" and "usd" (JSON).
     """
 
     delay: float
@@ -88,7 +88,8 @@ class ActuatorsResult(IdentifyResult):
         """Values of the joints, delay, what is confounded or on a bound, ranges, rollout."""
         lines = [
             *self._opening_lines(),
-            f"{self.model}, task {self.task}, {self.estimator}: {self.parameters} values of "
+            self._first_line(),
+            f"  task {self.task}, {self.estimator}: {self.parameters} values of "
             f"{len(self.joints)} joints from {self.seconds:.1f} s, links of the model file",
             *self._delay_lines(),
             f"  {'joint':18} {'Ia':>15} {'fv':>15} {'fc':>15} {'offset':>17}  rollout  torque",
@@ -106,6 +107,24 @@ class ActuatorsResult(IdentifyResult):
             lines.append(f"  {MORE_NAMES[term]}: {', '.join(texts)}")
         lines += [*map(gain_text, self.gains or ()), *self._lost_motion_lines()]
         return "\n".join([*lines, *self._source_lines(), *self._closing_lines()])
+
+    def _first_line(self) -> str:
+        """Known values, and errors beside those of the baselines."""
+        values = [(one[x], one["std"][x]) for one in self.joints.values() for x in UNKNOWNS]
+        sure = sum(std is not None and std < KNOWN * abs(value) for value, std in values)
+        known = f"{self.model}: {sure} of {len(values)} values are known within 10 %"
+        positions = {"null": WORDS[FILE], "command": WORDS[COMMAND]}
+        found = {x: self.scores.get(f"rollout_error_{key}") for key, x in positions.items()}
+        texts = [f"{words} {1e3 * x:.2f}" for words, x in found.items() if x is not None]
+        if texts and self.rollout_error is not None:
+            return (
+                f"{known}. Positions simulated under commands that were not fitted err by "
+                f"{1e3 * self.rollout_error:.2f} mrad (mm) ({', '.join(texts)})."
+            )
+        if (null := self.scores.get("torque_error_null")) is None:
+            return f"{known}."
+        error = 100 * self.scores["torque_error"]
+        return f"{known}. Torques err by {error:.3g} % ({WORDS[FILE]} {100 * null:.3g} %)."
 
     def _lost_motion_lines(self) -> Iterator[str]:
         """Width of the hysteresis of each joint."""
@@ -169,15 +188,6 @@ class ActuatorsResult(IdentifyResult):
                 f"  simulated under the recorded commands of {one['log']}, {one['from']:.1f} to "
                 f"{one['to']:.1f} s, not fitted: RMS error {1e3 * one['rollout']:.2f} mrad (mm)"
             )
-        positions = {"null": WORDS[FILE], "command": WORDS[COMMAND]}
-        known = {x: self.scores.get(f"rollout_error_{key}") for key, x in positions.items()}
-        texts = [f"{words} {1e3 * x:.2f} mrad (mm)" for words, x in known.items() if x is not None]
-        if texts:
-            yield f"    of {', '.join(texts)}"
-        elif self.scores.get("torque_error_null") is not None:
-            yield f"  torque error {100 * self.scores['torque_error']:.3g} %; of {WORDS[FILE]} " + (
-                f"{100 * self.scores['torque_error_null']:.3g} %, zero torque 100 %"
-            )
         if self.written is not None:
             yield _written_line(self.written)
 
@@ -229,8 +239,8 @@ def gain_text(one: Mapping[str, Any]) -> str:
     if not one["determined"]:
         return f"  gain of {names}: {RATIOS}"
     return (
-        f"  {MORE_NAMES['gain']}: {one['gain']:.3g} ({one['low']:.3g} to {one['high']:.3g}), one "
-        f"of {names}"
+        f"  {MORE_NAMES['gain']}: {one['gain']:.3g} ({one['low']:.3g} to {one['high']:.3g} if "
+        f"the model is exact), one of {names}"
     )
 
 

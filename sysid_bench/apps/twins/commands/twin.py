@@ -141,7 +141,7 @@ class TwinResult(Result):
         kind = "null twin" if self.null else "twin"
         lines = [
             f"{self.model}: {kind}, truth {self.truth}; residual on left-out blocks of time "
-            "without -> with effects (N m, N), and the share of its power that each removed",
+            "without -> with effects (N m, N), and the share of its power that each removed"
         ]
         for name, one in self.joints.items():
             kept = ", ".join(f"{x['effect']} {100 * x['share']:.1f} %" for x in one["kept"])
