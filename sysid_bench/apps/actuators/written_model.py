@@ -16,6 +16,7 @@ import numpy as np
 
 from sysid_bench.apps.actuators.rollout import Drives, positions_of, simulation_step
 from sysid_bench.errors import ModelError, UnsupportedError
+from sysid_bench.models.mjcf import stated_actuators
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.mjcf_writer import (
     PositionDrive,
@@ -84,19 +85,9 @@ def torque_limits(robot: RobotModel, commands: Commands) -> Array:
     limits = np.where(np.isfinite(commands.limit), commands.limit, robot.limits.tau[dofs])
     if robot.format != "mjcf" or np.isfinite(limits).all():
         return limits
-    motor = int(mujoco.mjtBias.mjBIAS_NONE)
-    # The actuators themselves are left out of a robot, whose inputs are torques.
-    for one in mujoco.MjSpec.from_file(str(robot.manifest.path)).actuators:
-        if one.target not in commands.joints:
-            continue
-        low, high = one.forcerange
-        if low >= high and one.biastype == motor:
-            low, high = np.array(one.ctrlrange) * one.gainprm[0]
-        # A range [-a, b] holds for either sign only up to the smaller one.
-        largest, j = abs(one.gear[0]) * min(-low, high), commands.joints.index(one.target)
-        if largest > 0.0 and not np.isfinite(limits[j]):
-            limits[j] = largest
-    return limits
+    stated = stated_actuators(robot.manifest.path)
+    of_file = [stated[joint].limit if joint in stated else np.inf for joint in commands.joints]
+    return np.where(np.isfinite(limits), limits, of_file)
 
 
 def replay_positions(file: Path, commands: Commands, rows: slice) -> Array:
