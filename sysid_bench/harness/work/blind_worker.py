@@ -69,10 +69,9 @@ def _ending_with_parent(requests: io.BufferedReader) -> io.BufferedReader:
     read_end, write_end = os.pipe()
 
     def pass_on() -> None:
-        with os.fdopen(write_end, "wb", buffering=0) as pipe:
-            while data := requests.read1(1 << 16):
-                while data:
-                    data = data[pipe.write(data) :]
+        while data := requests.read1(1 << 16):
+            while data:
+                data = data[os.write(write_end, data) :]
         if hasattr(os, "killpg"):
             os.killpg(0, signal.SIGKILL)
         os._exit(0)
