@@ -192,8 +192,8 @@ def open_gains(evidence: DiagnoseInput) -> Iterator[Finding]:
     if names:
         yield Finding(
             "undecided", NOTE,
-            "the recording does not decide the gain of joints whose torque is mostly friction (times "
-            f"the stated one: {', '.join(listed)}): the stated one is accepted",
+            "the recording does not decide the gain of joints whose torque is mostly friction "
+            f"(times the stated one: {', '.join(listed)}): the stated one is accepted",
             tuple(names), edit="compare with the data sheet of the drive",
         )  # fmt: skip
 
