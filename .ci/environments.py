@@ -128,7 +128,8 @@ def tests(name: str, folder: Path) -> dict[str, Any]:
         if lowest
         else os.environ.get("NEWEST_PYTHON", f"{sys.version_info[0]}.{sys.version_info[1]}")
     )
-    run(UV, "venv", "-q", "-p", python, place, check=True)
+    # With pip: `fetch` loads models by it.
+    run(UV, "venv", "-q", "--seed", "-p", python, place, check=True)
     words = ["--resolution", "lowest-direct"] if lowest else []
     # pin 3 loads beside old libraries alone; numpy 2.0 needs pin 4.
     more = ["pin>=4"] if lowest else []

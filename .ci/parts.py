@@ -15,23 +15,31 @@ PARTS: Final = ("test", "long", "faults", "cluster", "gate", "docs", "lint", "be
 
 _CODE = ("test", "long", "faults", "gate", "docs", "lint")
 RULES: Final[tuple[tuple[str, tuple[str, ...]], ...]] = (
-    # The first that fits decides; a rule with / at its end is a folder.
-    ("docs/", ("docs", "long")),
-    ("mkdocs.yml", ("docs",)),
-    ("README.md", ("docs", "long")),
-    ("CONTRIBUTING.md", ("docs", "long")),
+    # The first that fits decides; a rule with / at its end is a folder. Quick tests ask that each
+    # option stands in a page, and that pages, targets and workflows name each other.
+    ("docs/", ("test", "long", "docs", "lint")),
+    ("mkdocs.yml", ("test", "docs")),
+    ("README.md", ("test", "long", "docs")),
+    ("CONTRIBUTING.md", ("test", "long", "docs")),
     ("CHANGELOG.md", ("docs",)),
     ("LICENSE", ()),
     ("CITATION.cff", ("test",)),
     (".conda/", ("test",)),
     (".gitignore", ()),
-    (".github/", ()),
-    ("reports/make/", ("lint",)),
-    ("reports/", ("long", "docs")),
+    (".github/", ("test",)),
+    ("reports/make/", ("test", "long", "lint")),
+    ("reports/", ("test", "long", "docs")),
     ("tests/benchmarks/", ("bench", "lint")),
     ("tests/faults/", ("faults", "lint")),
     ("tests/cluster/", ("cluster", "lint")),
     ("tests/baselines/", ("gate",)),
+    # Worlds and robots that other parts import.
+    ("tests/conftest.py", ("test", "long", "faults", "cluster", "lint", "bench")),
+    ("tests/robots.py", ("test", "long", "faults", "lint", "bench")),
+    ("tests/harness/", ("test", "long", "faults", "lint")),
+    ("tests/signals/", ("test", "long", "faults", "lint")),
+    ("tests/experiments/", ("test", "long", "lint", "bench")),
+    ("tests/other_package.py", ("test", "long", "cluster", "lint")),
     ("tests/", ("test", "long", "lint")),
     ("sysid_bench/apps/clusters/", (*_CODE, "cluster")),
     ("sysid_bench/harness/", (*_CODE, "cluster")),

@@ -130,7 +130,7 @@ class _CellItem(pytest.Item):
         is_known = baseline is not None and baseline.run.has_cell(self.cell.first_fields)
         if row["status"] in _SKIPPED and not is_known:
             pytest.skip(str(row.get("reason") or row["status"]))
-        text = cell_text(self.cell, row, baseline, self.run.stored)
+        text = cell_text(self.cell, row, baseline, RunFolder(self.run.folder))
         if text:
             raise _CellFailure(text)
 
@@ -185,14 +185,9 @@ class _Run:
         return NewRows(self.folder)
 
     @cached_property
-    def stored(self) -> RunFolder:
-        """The run in its folder, once that is there."""
-        return RunFolder(self.folder)
-
-    @cached_property
     def baseline(self) -> Baseline | None:
         """Baseline of this suite."""
-        return self.baselines.get(self.stored.suite.name)
+        return self.baselines.get(RunFolder(self.folder).suite.name)
 
     @property
     def log(self) -> str:

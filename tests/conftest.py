@@ -66,6 +66,8 @@ def _is_absent(package: str) -> bool:
 
 
 ABSENT = {name: f"the extra {EXTRAS[name]}" for name in EXTRAS if _is_absent(name)}
+if _is_absent("pinocchio"):
+    ABSENT["pinocchio"] = "Pinocchio (the package pin)"
 if "rerun" not in ABSENT and _is_absent("rerun.chunk"):
     ABSENT["rerun.chunk"] = "rerun-sdk 0.38 or newer, which reads recordings"
 
@@ -77,6 +79,7 @@ def _absent_extra_is_a_skip(report: Any) -> Any:
     for package, needed in ABSENT.items():
         asked = f"sysid-bench[{EXTRAS.get(package, package)}]" in text
         imported = f"No module named '{package.replace('-', '_')}" in text
+        imported |= f"`Import {package}` failed" in text  # of pandas
         if asked or imported or f"needs {package}, which the installed" in text:
             report.outcome = "skipped"
             report.longrepr = (str(report.fspath), 0, f"Skipped: needs {needed}")

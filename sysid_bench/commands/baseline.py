@@ -64,23 +64,20 @@ class BaselineSave(Request["BaselineResult"]):
         Raises UsageError for an unknown metric, and where the `times` asked for are not there.
         """
         from sysid_bench.harness.comparison.baseline import baseline_of
-        from sysid_bench.harness.comparison.run_values import Tolerance, read_run, tolerance_of
-        from sysid_bench.metrics import METRICS
+        from sysid_bench.harness.comparison.run_values import Tolerance, read_run
 
-        sizes = {}
+        folder, sizes = _whole_run(self.folder), {}
+        values = read_run(folder, tuple(self.metrics), times=self.times)
+        if self.times and not values.speeds:
+            raise _without_times(folder)
+        default = baseline_of(values).tolerances
         for name, size in (self.tolerances or {}).items():
-            is_known = name in METRICS
-            # Metrics of plug-ins are not known before the run is read: compared as errors are.
-            known = tolerance_of(METRICS[name]) if is_known else Tolerance("ratio", 1.01, 0.0)
+            known = default.get(name, Tolerance("exact"))
             kind = "ratio" if known.kind == "exact" else known.kind
             try:
                 sizes[name] = Tolerance(kind, size, known.floor)
             except UsageError as error:
                 raise UsageError(f"The tolerance {name}={size:g} cannot be: {error}") from error
-        folder = _whole_run(self.folder)
-        values = read_run(folder, tuple(self.metrics), times=self.times)
-        if self.times and not values.speeds:
-            raise _without_times(folder)
         return _write(baseline_of(values, sizes), Path(self.out))
 
 

@@ -12,7 +12,7 @@ from sysid_bench.diagnosis.hypothesis import NORMAL, Candidate, Hypothesis, firs
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import read_manifest
+from sysid_bench.models.manifest import Manifest, read_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.package_folders import robots
 from sysid_bench.types import Array, Recording
@@ -52,10 +52,18 @@ def gravity_direction(before: Hypothesis) -> Iterator[Candidate]:
                 "gravity", tuple(range(e.count)), turned(angle),
                 f"gravity fits {_text(fitted)} m/s^2 in the base frame, "
                 f"{_angle(fitted, declared):.0f} degrees from the declared {_text(declared)}",
-                f"gravity = {_text(g)} in the robot's manifest, or turn the base in the model",
+                f"{_gravity_edit(e.robot.manifest, g)}, or turn the base in the model",
                 "links without inertias, and motions in which gravity does little",
                 estimate=f"{angle:.0f} degrees", along=(angle, 3.0, turned),
             )  # fmt: skip
+
+
+def _gravity_edit(manifest: Manifest, g: Array) -> str:
+    """Edit of the user's own robot.toml, or of the model's name on the command line."""
+    if manifest.manifest_file is not None:
+        return f"gravity = {_text(g)} in {manifest.manifest_file.name}"
+    words = ",".join(f"{x:.4g}" for x in np.round(g, 2) + 0.0)
+    return f"name the model '{manifest.path.name}?gravity={words}'"
 
 
 def _fitted_gravity(before: Hypothesis, inertial: Array, axes: Array) -> Array:

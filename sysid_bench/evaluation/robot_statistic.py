@@ -43,9 +43,8 @@ class RatioFigure:
         """Return the figure of mean log ratios (robots,); without a value for zero robots."""
         if len(logs) == 0:
             return cls(None)
-        ends = median_interval(logs)
-        value = float(np.exp(np.median(logs)))
-        return cls(value) if ends is None else cls(value, *map(float, np.exp(ends)))
+        ends = map(float, np.exp(median_interval(logs) or ()))
+        return cls(float(np.exp(np.median(logs))), *ends)
 
 
 def rank_test_p(values: Array) -> float:
@@ -241,7 +240,6 @@ def mean_figure(values: Array) -> ClaimFigure:
 
 def rank_figure(logs: Array) -> ClaimFigure:
     """Return the rank of the first method, 1 for the smallest median, of logs (robots, methods)."""
-    rank, low, high = (float(part[0]) for part in rank_interval(logs))
-    if len(logs) < ROBOTS.fewest:
-        return ClaimFigure(rank, None, None, len(logs))
+    rank, *ends = (float(part[0]) for part in rank_interval(logs))
+    low, high = (None if np.isnan(end) else end for end in ends)
     return ClaimFigure(rank, low, high, len(logs))

@@ -60,10 +60,7 @@ _FIRST: Final[Mapping[str, tuple[str, ...]]] = {
     "joints": ("id", "name"),
 }
 """Columns that a frame has in any case."""
-_JOINT_COLUMNS: Final = {
-    "name": JOINT,
-    **{METRICS[name].key: name for name in names_of("joint")},
-}
+_JOINT_COLUMNS: Final = {"name": JOINT, **{METRICS[name].key: name for name in names_of("joint")}}
 
 COVERAGE_FILE: Final = "consolidated.json"
 UNREADABLE: Final = (

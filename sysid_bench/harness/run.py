@@ -26,11 +26,7 @@ from sysid_bench.harness.fingerprint import current_fingerprint, is_stale, stale
 from sysid_bench.harness.plan import Plan, Shard, cells_of_suite
 from sysid_bench.harness.stored_run import RunFolder, frames_of_run
 from sysid_bench.harness.suite.expression import Expression
-from sysid_bench.harness.suite.load_suite import (
-    code_note,
-    load_suite,
-    third_party_names,
-)
+from sysid_bench.harness.suite.load_suite import code_note, load_suite, third_party_names
 from sysid_bench.harness.suite.model import Origin, Suite
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.work.confinement import wanted_isolation
@@ -265,10 +261,7 @@ def _check_models(folder: RunFolder, todo: Iterable[Cell], robots_dir: Path | No
 
 
 def _work(
-    request: _Request,
-    folder: RunFolder,
-    rows: Iterable[PlannedRow],
-    lock: int | None,
+    request: _Request, folder: RunFolder, rows: Iterable[PlannedRow], lock: int | None
 ) -> Work:
     """Return the jobs of some cells, one for each experiment, whose cells share its data."""
     suite, robots_dir = folder.suite, request.robots_dir or folder.suite.robots_folder
@@ -371,11 +364,7 @@ def _compute(work: Work, folder: RunFolder, executor: Executor, on_event: OnEven
 
 
 def _result(
-    folder: RunFolder,
-    selected: Sequence[Cell],
-    asked: int,
-    ending: Ending,
-    more: Iterable[str],
+    folder: RunFolder, selected: Sequence[Cell], asked: int, ending: Ending, more: Iterable[str]
 ) -> RunResult:
     stored = folder.first_fields()
     rows = [stored.rows[cell.id] for cell in selected if cell.id in stored.rows]

@@ -6,6 +6,7 @@ the order of elements, paths of meshes, colours and what is only drawn do not ch
 """
 
 import hashlib
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
@@ -44,11 +45,11 @@ def behaviour_of(robot: RobotModel) -> dict[str, dict[str, Values]]:
     names = [ROBOT, *(joint.name for joint in robot.joints)]
     found: dict[str, dict[str, Values]] = {name: {} for name in names}
     facts = [*_robot_facts(robot), *_link_facts(robot), *_joint_facts(robot), *_torques(robot)]
-    largest: dict[str, float] = {}
+    of_kind = defaultdict[str, list[float]](list)
     for _, quantity, numbers in facts:
-        largest[quantity] = max(_size(numbers), largest.get(quantity, 0.0))
+        of_kind[quantity] += [*numbers]
     for name, quantity, numbers in facts:
-        found[name][quantity] = _rounded(numbers, largest[quantity])
+        found[name][quantity] = _rounded(numbers, _size(of_kind[quantity]))
     found[ROBOT][ORDER] = names[1:]
     for joint in robot.joints:
         found[joint.name]["kind"] = [joint.kind]
@@ -100,12 +101,9 @@ def _robot_facts(robot: RobotModel) -> Iterator[_Fact]:
     )
     for e in range(mj.neq if robot.coupling is not None else 0):
         kind = mujoco.mjtEq(int(mj.eq_type[e])).name.removeprefix("mjEQ_").lower()
-        ends = [_end(mj, int(mj.eq_objtype[e]), int(i)) for i in (mj.eq_obj1id[e], mj.eq_obj2id[e])]
+        named, pair = int(mj.eq_objtype[e]), (mj.eq_obj1id[e], mj.eq_obj2id[e])
+        ends = [mujoco.mj_id2name(mj, named, int(i)) or "world" for i in pair]
         yield ROBOT, f"coupling {kind} {' '.join(ends)}", mj.eq_data[e]
-
-
-def _end(mj: mujoco.MjModel, kind: int, index: int) -> str:
-    return mujoco.mj_id2name(mj, kind, index) or "world"
 
 
 def _link_facts(robot: RobotModel) -> Iterator[_Fact]:
@@ -164,7 +162,7 @@ def _torques(robot: RobotModel) -> Iterator[_Fact]:
             drawn = np.array([int.from_bytes(digest[:6]) / 2**47 - 1.0 for digest in digests])
             q, v, a = _REACH[kind in (HINGE, BALL)]
             at = slice(joint.vadr, joint.vadr + len(joint.dofs))
-            turn = drawn[-4:] / np.linalg.norm(drawn[-4:])
+            turn = drawn[-4:]  # MuJoCo makes it a unit quaternion
             place = {FREE: [*drawn[:3], *turn], BALL: turn}.get(kind, q * drawn[:1])
             first = joint.qadr
             data.qpos[first : first + COORDINATES[kind]] = place
@@ -175,7 +173,7 @@ def _torques(robot: RobotModel) -> Iterator[_Fact]:
         mujoco.mj_kinematics(mj, data)
         mujoco.mj_comPos(mj, data)
         mujoco.mj_comVel(mj, data)
-        mujoco.mj_rne(mj, data, 1, torque)
+        mujoco.mj_rne(mj, data, True, torque)
     for joint in robot.joints:
         yield joint.name, TORQUE, torques[:, joint.vadr : joint.vadr + len(joint.dofs)].ravel()
 

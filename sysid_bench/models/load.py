@@ -134,8 +134,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
     mj = _compile(spec, manifest) if payload or equalities is not None else bare
     joints, body_names = _joints(mj), _body_names(mj)
     _check_names(manifest, joints, body_names)
-    told = model_checks.warnings_from()
-    warnings = (*told, *model_checks.singular_warning(mj, told), *model_checks.unit_warnings(mj))
+    warnings = (*model_checks.warnings_from(), *model_checks.unit_warnings(mj))
     coupling, ignored = _coupling(mj, joints, equalities, manifest, source)
     return RobotModel(
         name=manifest.name,

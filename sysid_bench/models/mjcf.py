@@ -4,7 +4,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -280,6 +280,37 @@ def mjcf_spec(
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     return spec, repairs, motors
+
+
+class StatedActuator(NamedTuple):
+    """Gains kp (N m/rad) and kd (N m s/rad) of a position actuator, zero for a motor, and largest
+    torque (N m, infinite: not stated) of a joint; slides: N, m."""
+
+    kp: float
+    kd: float
+    limit: float
+
+
+def stated_actuators(path: Path) -> dict[str, StatedActuator]:
+    """Return the actuators that an MJCF states, by joint: the first one of each.
+
+    Robots have none of them: their inputs are torques.
+    """
+    found: dict[str, StatedActuator] = {}
+    for one in mujoco.MjSpec.from_file(str(path)).actuators:
+        if int(one.trntype) not in AT_JOINT or one.target in found:
+            continue
+        is_motor = int(one.biastype) == int(mujoco.mjtBias.mjBIAS_NONE)
+        low, high = one.forcerange
+        if low >= high and is_motor:
+            low, high = np.array(one.ctrlrange) * one.gainprm[0]
+        # The force of a position servo is kp (ctrl - q) - kd v, with biasprm = [0, -kp, -kd]; a
+        # range [-a, b] holds for either sign only up to the smaller one.
+        gear = abs(float(one.gear[0]))
+        kp, kd = (0.0, 0.0) if is_motor else np.maximum(-one.biasprm[1:3] * gear**2, 0.0).tolist()
+        limit = gear * float(min(-low, high))
+        found[one.target] = StatedActuator(kp, kd, limit if limit > 0.0 else np.inf)
+    return found
 
 
 def _read(path: Path, text: bytes | None, folder: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:

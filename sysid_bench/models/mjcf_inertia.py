@@ -1,5 +1,4 @@
-"""Inertias that MuJoCo's compiler derives from geoms and meshes, made explicit in each body; full
-inertias as principal ones where MuJoCo's own are not exact.
+"""Inertias that MuJoCo's compiler derives from geoms and meshes, made explicit in each body.
 
 Meshes are read only for bodies whose inertia comes from them. Rules for the whole model
 (`settotalmass`, `balanceinertia`, bounds) are applied once and then switched off, so that a payload
@@ -19,11 +18,11 @@ from sysid_bench.errors import ModelError, first_names
 from sysid_bench.input_files import is_file
 from sysid_bench.models.joint_terms import linear_polynomial
 from sysid_bench.models.mjcf_files import folder_text, is_file_of
-from sysid_bench.models.model_checks import compile_spec
+from sysid_bench.models.model_checks import BEFORE_3_14, compile_spec
 from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.spatial import (
+    composed_rotation,
     inertia_matrix,
-    matrix_of_quaternion,
     quaternion_of_matrix,
     urdf_quaternion,
 )
@@ -38,34 +37,26 @@ _AUTO: Final = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO)
 LARGEST_MESH: Final = 256 * 2**20  # bytes
 
 
-_EXACT_AXES: Final = tuple(map(int, mujoco.__version__.split(".")[:2])) >= (3, 14)
-"""False: MuJoCo finds the principal axes of a full inertia to 1e-7 only, and turns them by the
-rotation of a URDF's inertial frame in the wrong order (20 % of the moments; measured with 3.11 to
-3.13)."""
-
-
 def principal_inertias(spec: mujoco.MjSpec, urdf: str = "") -> None:
-    """Replace full inertias of a spec, read from a URDF of this text or from an MJCF, by principal
-    moments and axes where MuJoCo would lose digits."""
-    if _EXACT_AXES:
-        return
-    links = parse_xml(urdf, "").findall("link[inertial]") if urdf else ()
+    """Replace full inertias of a spec, read from this URDF or from an MJCF, by principal moments
+    and axes where MuJoCo would lose digits."""
+    links = parse_xml(urdf, "").findall("link[inertial]") if urdf and BEFORE_3_14 else ()
     origins = {link.get("name"): link.find("inertial/origin[@rpy]") for link in links}
-    for body in spec.bodies:
-        full = np.array(body.fullinertia)
-        if np.isnan(full[0]):
+    for body in spec.bodies if BEFORE_3_14 else ():
+        full, axes = np.array(body.fullinertia), np.eye(3)
+        if not np.isfinite(full).all():  # NaN: none is given
             continue
-        moments, axes = full[:3], np.eye(3)
+        moments = full[:3]
         if full[3:].any():
             moments, axes = np.linalg.eigh(inertia_matrix(full[[0, 3, 4, 1, 5, 2]]))
             axes *= np.linalg.det(axes)  # -1 of a reflection
         if moments.min() < mujoco.mjMINVAL:  # for MuJoCo to refuse
             continue
+        quat = quaternion_of_matrix(axes)
         if (origin := origins.get(body.name)) is not None:
             rpy = np.array(origin.get("rpy", "").split(), dtype=float)
-            axes = matrix_of_quaternion(urdf_quaternion(rpy)) @ axes
-        body.inertia, body.iquat = moments, quaternion_of_matrix(axes)
-        body.fullinertia = np.full(6, np.nan)
+            quat = composed_rotation(urdf_quaternion(rpy), quat)
+        body.inertia, body.iquat, body.fullinertia = moments, quat, np.full(6, np.nan)
 
 
 def compiled_inertia(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str, ...]:

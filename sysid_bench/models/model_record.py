@@ -44,8 +44,7 @@ def seed_content(manifest: Manifest, free_base: bool | None = None) -> str | Non
 
 
 def _record(manifest: Manifest, free_base: bool | None) -> ModelRecord:
-    """Return the record of a robot, kept or computed; raise SysidBenchError for one that cannot be
-    loaded."""
+    """Return the record of a robot, kept or computed; raise SysidBenchError where it is neither."""
     free = manifest.free_base if free_base is None else free_base
     file = cache_folder() / f"{_key(manifest, free)}.model"
     with suppress(OSError, ValueError):

@@ -108,8 +108,8 @@ def find_columns(tables: Tables, robot: RobotModel, joints: Sequence[str]) -> Fo
     if "tau" in found and _is_acceleration(found):
         del found["tau"]
     said: tuple[str, ...] = ()
-    if {"q", "tau"} <= found.keys() and not found["tau"].is_current:
-        said = _check_scale(found, robot, joints)
+    if {"q", "tau"} <= found.keys():
+        said = _check_scale(found, robot, joints, dict(tables))
     gains = _gains(tables) if "q_des" in found else {}
     unused = _unused(found, tables) if files else []
     if not files:
@@ -127,12 +127,17 @@ def _holds_signals(file: str, table: LogTable) -> bool:
 
 
 def _check_scale(
-    found: dict[str, Columns], robot: RobotModel, joints: Sequence[str]
+    found: dict[str, Columns],
+    robot: RobotModel,
+    joints: Sequence[str],
+    tables: Mapping[str, LogTable],
 ) -> tuple[str, ...]:
     """Mark what is named as torques as currents where the model contradicts their scale; take it
     out where it has no sign, and return that as a line."""
     q, tau, time = found["q"], found["tau"], found.get("time")
     t = np.arange(float(len(q.values))) if time is None else time.values[:, 0]
+    if q.time is not None and q.file is not None:  # stamps of its own
+        t = tables[q.file].columns([q.time["column"]])[:, 0]
     rows = min(len(q.values), len(tau.values), len(t))
     known = column_names.joints_of_columns([str(column) for column in q.columns], joints)
     data = (q.values[:rows], tau.values[:rows], t[:rows])

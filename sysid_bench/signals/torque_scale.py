@@ -52,9 +52,12 @@ def scale_contradiction(
     score, slopes, _ = fit.follows(tau)
     if score < FOLLOWS or is_torque_scale(slopes) or (sure and slopes.min() <= 0):
         return ""
+    by_model = ""
+    if slopes.min() > 0:
+        by_model = f" (by the model's masses its gain is {range_of(1 / slopes, '')})"
     return (
         f"it follows the model's torque ({score:.0%} beyond friction) at {range_of(slopes)}: a "
-        "current, or the torque of a motor before its gear"
+        f"current, or the torque of a motor before its gear{by_model}"
     )
 
 
@@ -86,8 +89,8 @@ def is_torque_scale(slopes: Array) -> bool:
     return not len(sizes) or bool(((sizes > _SLOPES[0]) & (sizes < _SLOPES[1])).any())
 
 
-def range_of(slopes: Array) -> str:
-    return f"{slopes.min():.3g} to {slopes.max():.3g} per N m" if len(slopes) else "no known scale"
+def range_of(slopes: Array, unit: str = " per N m") -> str:
+    return f"{slopes.min():.3g} to {slopes.max():.3g}{unit}" if len(slopes) else "no known scale"
 
 
 @dataclass(frozen=True, eq=False)

@@ -179,18 +179,6 @@ def check_finite(name: str, array: Array, what: str) -> Array:
     return array
 
 
-class TorqueLaw(Protocol):
-    """Torque as a function of time and state.
-
-    Called with single samples (closed loop) or whole motions. A law with a `kind` and `numbers`
-    that steps.c implements runs compiled.
-    """
-
-    def __call__(self, t: Array, q: Array, v: Array) -> Array:
-        """Return the torque (..., nv) at t (), q (..., nq), v (..., nv)."""
-        ...
-
-
 @runtime_checkable
 class StateLaw(Protocol):
     """Torque that depends on internal states, which advance with the simulation: deflections of

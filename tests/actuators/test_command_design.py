@@ -195,3 +195,20 @@ def test_options_of_motions_are_refused_for_commands(tmp_path: Path) -> None:
         done = CliRunner().invoke(main, [*words, *more])
         assert done.exit_code == 2
         assert ("--harmonics" if more else "--gain") in done.output
+
+
+def test_gains_and_limits_of_the_file_are_those_of_a_design(tmp_path: Path) -> None:
+    drives = "".join(
+        f'<position joint="{joint}" kp="{kp}" kv="0.7" forcerange="-{limit} {limit}"/>'
+        for joint, kp, limit in zip(JOINTS, (30, 25, 20), (9, 8, 7), strict=True)
+    )
+    start, _, rest = MODEL.replace(' armature=".5"', "").partition("<actuator>")
+    file = tmp_path / "servo.xml"
+    file.write_text(f"{start}<actuator>{drives}</actuator></mujoco>", encoding="utf-8")
+    assert "</actuator>" in rest
+    request = replace(DESIGN, robot=file, gains={}, limits={"v": [10.0]}, period=4.0, starts=1)
+    result = sysid_bench.excite(replace(request, out=tmp_path / "commands.csv"))
+    assert result.gains["kp"][0] == [30.0, 25.0, 20.0]
+    assert result.gains["kd"][0] == [0.7] * 3
+    assert not any("limits of" in text and "torque" in text for text in result.warnings)
+    assert 0.0 < result.limits["torque"]["share"] <= 1.0

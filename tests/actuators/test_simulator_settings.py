@@ -1,5 +1,7 @@
 """Configurations to paste, and covariances: what simulators read is what was identified."""
 
+import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +49,20 @@ def test_configurations_are_python_with_the_values(limit: float) -> None:
     assert isaac["viscous_friction"]["knee"] == 0.2
     assert (isaac["min_delay"], isaac["max_delay"]) == (0, 2)
     assert ("effort_limit" in isaac) == np.isfinite(limit)
+
+
+@pytest.mark.parametrize(("slides", "unit"), [(False, np.pi / 180.0), (True, 1.0)])
+def test_attributes_of_usd_count_angles_in_degrees(slides: bool, unit: float) -> None:
+    joints = {"knee": replace(JOINT, slides=slides), "free": replace(JOINT, limit=np.inf)}
+    found = json.loads(settings_text(joints, (0.0, 0.0))["usd"])
+    kind = "linear" if slides else "angular"
+    drive, axis = f"drive:{kind}:physics", f"physxJointAxis:{kind}"
+    assert found["knee"] == pytest.approx({
+        f"{drive}:stiffness": 20.0 * unit, f"{drive}:damping": unit, f"{drive}:maxForce": 23.7,
+        f"{axis}:armature": 0.012, f"{axis}:staticFrictionEffort": 0.3,
+        f"{axis}:dynamicFrictionEffort": 0.3, f"{axis}:viscousFrictionCoefficient": 0.2 * unit,
+    })  # fmt: skip
+    assert not any("maxForce" in name for name in found["free"])
 
 
 def test_an_identification_has_configurations_and_a_joint_covariance(tmp_path: Any) -> None:

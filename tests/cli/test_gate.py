@@ -78,12 +78,18 @@ def test_an_inertia_that_moves_by_a_percent_is_found(cli: Run, saved: Path, tmp_
 
 
 def test_a_tolerance_is_kept_by_an_update(cli: Run, saved: Path) -> None:
-    words = ("--metrics", "rank,torque_error", "--tolerance", "torque_error=1.5")
+    words = ["--metrics", "rank,gap,torque_error", "--tolerance", "torque_error=1.5"]
+    words += ["--tolerance", "rank=1.1", "--tolerance", "gap=1e-9"]
     assert cli("baseline", "save", "run", "-o", "own.json", *words).returncode == 0
     assert cli("baseline", "update", "run", "-o", "own.json").returncode == 0
     kept = json.loads((saved.parent / "own.json").read_text())
-    assert kept["metrics"] == ["rank", "torque_error"]
-    assert kept["tolerances"]["torque_error"]["ratio"] == 1.5
+    assert kept["metrics"] == ["rank", "gap", "torque_error"]
+    assert kept["tolerances"] == {
+        "rank": {"ratio": 1.1}, "gap": {"absolute": 1e-9},
+        "torque_error": {"ratio": 1.5, "floor": 1e-11},
+    }  # fmt: skip
+    refused = cli("baseline", "save", "run", "-o", "no.json", "--tolerance", "torque_eror=2")
+    assert "torque_eror" in one_sentence(refused)
 
 
 def test_two_runs_are_compared(cli: Run, saved: Path, tmp_path: Path) -> None:
@@ -285,3 +291,20 @@ def test_a_cell_alone_is_judged_as_the_gate_judges_it(edit: str, copied: Path) -
         text = cell_text(cell, row, baseline, run)
         assert bool(text) == (cell.id in wrong)
         assert ("Joints that changed" in text) == (edit == "model")
+
+
+def test_a_row_without_a_baseline_has_to_be_ok_and_cross_checked(stored: Path) -> None:
+    run = open_run(stored / "run")
+    cell = run.plan.cells[0]
+    row = run.row(cell.id)
+    assert row is not None
+    for changes, first in (
+        ({}, ""),
+        ({"crosscheck": "passed"}, ""),
+        ({"crosscheck": "failed", "reason": None}, "the cross-check failed"),
+        ({"crosscheck": "failed", "reason": "a gap of 1e-3"}, "a gap of 1e-3"),
+        ({"status": "failed", "reason": "no answer"}, "no answer"),
+    ):
+        text = cell_text(cell, {**row, **changes}, None, run)
+        assert text.partition("\n")[0] == first
+        assert bool(text) == (f"--select 'id == \"{cell.id}\"'" in text)

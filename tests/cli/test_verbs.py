@@ -31,7 +31,10 @@ def test_crosscheck_prints_the_fields_of_the_contract(program: Run) -> None:
     assert ur5["nv"] == 6
     assert ur5["gap"] <= 1e-12
     assert ur5["closure"] <= 1e-11
-    assert ur5["native_gap"] <= 1e-12
+    if ur5["engine"] == "pinocchio":
+        assert ur5["native_gap"] <= 1e-12
+    else:
+        assert ur5["native_reason"]
     assert solo12["nv"] == 18
     assert solo12["joints"][0] == {"name": "root", "type": "free"}
 

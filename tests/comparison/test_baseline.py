@@ -573,3 +573,39 @@ def test_rounding_changes_no_line_of_a_baseline(seed: int) -> None:
         zeros = {f"link{i}.hx": rng.uniform(-1e-11, 1e-11) for i in range(3)}
         texts.add(to_text(baseline_of(replace(TWO, parameters={("ur5", "none"): true | zeros}))))
     assert len(texts) == 1
+
+
+def test_robots_whose_joints_are_not_compared_are_named() -> None:
+    """Those of both runs whose behaviour is not known in both; of one run alone there is nothing
+    to compare."""
+    for before, after, named in (
+        ({"ur5", "panda"}, {"ur5", "panda"}, ()),
+        ({"ur5"}, {"ur5", "panda"}, ("panda",)),
+        ({"ur5", "panda"}, {"panda"}, ("ur5",)),
+        (set(), {"panda", "scara"}, ("panda", "ur5")),
+    ):
+        runs = [replace(TWO, models=dict.fromkeys(known, KEPT.models["ur5"]))
+                for known in (before, after)]  # fmt: skip
+        found = find_difference(runs[0], runs[1])
+        assert found.without_model == named
+        assert not found.is_failed
+    assert find_difference(replace(TWO, models={}), without("panda")).without_model == ("ur5",)
+
+
+def test_only_answers_have_a_time(tmp_path: Path) -> None:
+    text = 'schema = 1\nname = "s"\n[run]\nrepeats = 4\n[defaults]\nnoise = { tau = "1 %" }\n'
+    text += '[[robot]]\nuse = "ur5"\n'
+    suite = parse_suite(text + '[[estimator]]\nuse = "ols"\n[[estimator]]\nuse = "wls"\n')
+    plan = cells_of_suite(suite)
+    folder = RunFolder.new(tmp_path / "run", suite, plan, {})
+    with folder.new_writer("w") as writer:
+        for cell in plan.cells:
+            first = cell.first_fields
+            status = "failed" if (first["estimator"], first["repeat"]) == ("wls", 0) else "ok"
+            seconds = {"seconds_cpu": 1.0 + first["repeat"], "seconds_experiment_cpu": 5.0}
+            writer.write({**first, "status": status, "reason": "", "rank": 36, **seconds})
+    speeds = read_run(folder, times=True).speeds
+    assert {part: speed.count for (_, part), speed in speeds.items()} == {
+        "ols": 4, "wls": 3, EXPERIMENT: 4,
+    }  # fmt: skip
+    assert read_run(folder).speeds == {}

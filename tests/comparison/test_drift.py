@@ -75,6 +75,17 @@ def test_methods_of_one_experiment_count_once() -> None:
     assert not compared(run_of(np.ones(60), 10), run_of(np.exp(np.repeat(logs, 10)), 10)).drifts
 
 
+@pytest.mark.parametrize("count", [3, 4])
+def test_few_experiments_of_many_methods_are_few(count: int) -> None:
+    logs = np.array([0.006, 0.005, 0.004, 0.001])[:count]
+    factors = np.exp(np.repeat(logs, 10))
+    assert scipy.stats.ttest_1samp(np.log(factors), 0.0).pvalue < 1e-6
+    assert not compared(run_of(np.ones(10 * count), 10), run_of(factors, 10)).drifts
+    # Of two a mean says nothing: there each cell counts.
+    pair = compared(run_of(np.ones(20), 10), run_of(factors[:20], 10)).drifts
+    assert [one.groups for one in pair] == [20]
+
+
 def test_p_is_that_of_students_test() -> None:
     factors = np.exp(0.005 + 0.002 * np.random.default_rng(0).normal(size=30))
     (drift,) = compared(run_of(ONES, 1), run_of(factors, 1)).drifts

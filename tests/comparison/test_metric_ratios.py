@@ -100,7 +100,7 @@ def test_errors_count_from_just_above_rounding_on(factor: float) -> None:
     above, below = factor * ROUNDING, ROUNDING / factor
     for was, now, counted in (
         (above, 2 * above, 1), (2 * above, above, 1), (below, above, 0), (above, below, 0),
-        (below, below, 0),
+        (below, below, 0), (ROUNDING, above, 0), (above, ROUNDING, 0),
     ):  # fmt: skip
         found = error_ratio(one_cell(was), one_cell(now))
         assert (found.cells, found.zeros) == (counted, 1 - counted)

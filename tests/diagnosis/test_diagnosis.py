@@ -151,6 +151,11 @@ def test_gravity_of_another_mounting_is_fitted(tmp_path: Path) -> None:
     first, *_ = doubts(diagnose(evidence(tmp_path, log_of("ur5"), mounted)))
     assert first.name == "gravity"
     assert "90 degrees" in first.message
+    assert first.edit.startswith("gravity = [0, 0, -9.81] in robot.toml")
+    manifest = replace(robot.manifest, manifest_file=None, path=Path("arm.urdf"))
+    lone = replace(mounted, manifest=manifest)
+    first, *_ = doubts(diagnose(evidence(tmp_path, log_of("ur5"), lone)))
+    assert first.edit.startswith("name the model 'arm.urdf?gravity=0,0,-9.81'")
 
 
 def test_gains_of_a_model_without_inertias_are_left_alone(tmp_path: Path) -> None:

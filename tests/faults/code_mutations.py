@@ -43,7 +43,8 @@ GROUPS: Final[dict[str, tuple[str, str]]] = {
         "evaluation/robot_statistic.py evaluation/repeat_statistic.py reporting/claims.py "
         "reporting/ranking.py",
         "tests/evaluation/test_claim_statistic.py tests/evaluation/test_ranking_statistic.py "
-        "tests/reporting/test_claims.py tests/evaluation/test_statistics.py "
+        "tests/evaluation/test_repeat_statistic.py tests/reporting/test_claims.py "
+        "tests/evaluation/test_statistics.py "
         "tests/reporting/test_report_rankings.py",
     ),
     "staleness": (

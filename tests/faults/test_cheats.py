@@ -139,9 +139,12 @@ def test_a_system_that_refuses_a_part_of_the_namespaces(tmp_path: Path) -> None:
     assert done.stdout.split() == ["process", "started", "started"]
 
 
-def test_the_time_of_a_process_that_was_left_counts(tmp_path: Path, port: int) -> None:
-    found = rows_with(tmp_path, ("Child",), port)
+def test_time_counts_wherever_and_whenever_it_was_used(tmp_path: Path, port: int) -> None:
+    found = rows_with(tmp_path, ("Child", "Early"), port)
     assert 0.9 < found["Child"]["seconds_cpu"] < 5.0
+    assert 0.4 < found["Early"]["seconds_cpu"] < 5.0
+    assert found["Early"]["seconds"] > 0.4
+    assert found["Honest"]["seconds_cpu"] < 0.2
 
 
 def test_forged_answers_cost_their_own_cell(tmp_path: Path, port: int) -> None:

@@ -69,10 +69,10 @@ def test_a_plan_without_code(name: str, folder: Path) -> None:
     ("name", "reason"),
     [
         ("file:mine.py:Outside", "No object in .* is called 'Outside'"),
-        ("file:absent.py:Thing", "no file of the estimator"),
+        ("file:absent.py:Thing", "The file of the estimator .* does not exist"),
         ("file:broken.py:f", "not valid Python"),
-        ("mylab.absent:Thing", "no file of the estimator"),
-        ("nolab:Thing", "no file of the estimator"),
+        ("mylab.absent:Thing", "The file of the estimator .* does not exist"),
+        ("nolab:Thing", "The file of the estimator .* does not exist"),
         ("olz", "Did you mean 'ols'"),
     ],
 )

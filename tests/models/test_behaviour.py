@@ -6,6 +6,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -497,6 +498,39 @@ def test_states_reach_as_far_as_gravity(kind: str, reach: float) -> None:
     assert len(set(found)) == 8 * 5
     assert 0.9 * reach < np.abs(found).max() <= reach
     assert np.abs(np.mean(found)) < 0.3 * reach
+
+
+def test_rates_are_as_large_as_accelerations() -> None:
+    """Of a mass m = 1 on a slide (r = 1 + q) on a hinge: r^2 a + 2 r v w and b - r v^2."""
+    text = """<mujoco><option gravity="0 0 0"/><worldbody><body>
+      <joint name="{name}" axis="0 0 1"/><joint name="s{name}" type="slide" axis="1 0 0"/>
+      <inertial mass="1" pos="1 0 0" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody></mujoco>"""
+    torques, forces = [], []
+    for name in "abcdefgh":
+        found = behaviour_of(robot_of(text.format(name=name)))
+        torques += found[name][TORQUE]
+        forces += found[f"s{name}"][TORQUE]
+    assert 3.0 < np.abs(torques).max() <= 1.2**2 * 3.0 + 2 * 1.2 * 2.0 * 0.5
+    assert -1.2 * 2.0**2 - 1.0 <= np.min(forces) < -2.5
+    assert 0.5 < np.max(forces) <= 1.0
+
+
+def test_states_turn_balls_and_move_bases() -> None:
+    """In a turned body its weight has another moment in each state, none about its own axis."""
+    found = {}
+    for kind, gravity in product(("ball", "free"), (0.0, -9.81)):
+        text = PENDULUM.format(kind=kind, mass=2.0, place=-0.5, inertia=0.1).replace(
+            "<worldbody>", f'<option gravity="0 0 {gravity}"/><worldbody>'
+        )
+        found[kind, gravity] = np.array(behaviour_of(robot_of(text))["j"][TORQUE]).reshape(5, -1)
+    moment = found["ball", -9.81] - found["ball", 0.0]
+    assert len(np.unique(moment.round(6), axis=0)) == 5
+    assert np.abs(moment[:, 2]).max() < 1e-6
+    assert 4.0 < np.linalg.norm(moment, axis=1).max() < 2.0 * 9.81 * 0.5 + 1e-6
+    weight = found["free", -9.81] - found["free", 0.0]
+    np.testing.assert_allclose(weight[:, :3], np.tile([0, 0, 2 * 9.81], (5, 1)), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(weight[:, 3:], axis=1) <= 9.81 + 1e-6, True)
+    assert len(np.unique(found["free", 0.0].round(6), axis=0)) == 5
 
 
 def _names_and_numbers(rng: np.random.Generator) -> dict[str, dict[str, list[Any]]]:

@@ -232,12 +232,13 @@ def drawn(seed: int) -> pd.DataFrame:
     """Rows of four methods at two levels, in which all that can be is: failures, refusals, no
     value, infinite values, rounding, and two rows of one case."""
     rng, rows = np.random.default_rng(seed), []
+    floor = METRICS["parameter_error"].floor  # errors up to it are rounding
     for robot, plant, repeat in product(ROBOTS, ("L1", "L2"), range(4)):
         for method in ("good", "wls", "bad", "odd"):
             for _ in range(1 + (rng.random() < 0.1)):
                 kind = rng.choice(["ok", "failed", "unsupported", "none", "inf", "tiny"],
                                   p=[0.85, 0.05, 0.02, 0.02, 0.03, 0.03])  # fmt: skip
-                value = {"none": np.nan, "inf": np.inf, "tiny": 1e-13}.get(kind, rng.lognormal())
+                value = {"none": np.nan, "inf": np.inf, "tiny": floor}.get(kind, rng.lognormal())
                 rows.append(
                     {"robot": robot, "plant": plant, "repeat": repeat, "estimator": method,
                      "run": "0", "status": kind if kind in ("failed", "unsupported") else "ok",

@@ -16,7 +16,7 @@ from sysid_bench.evaluation.intervals import median_interval
 from sysid_bench.evaluation.robot_statistic import least_p, rank_test_p, verdict
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.ranking import RATIOS, MethodRatio, Ranking, rank_cells
+from sysid_bench.reporting.ranking import RATIOS, MethodRatio, Ranking, entry_with_cells, rank_cells
 from sysid_bench.reporting.ranking_figures import profile
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.tables import Entry
@@ -366,6 +366,14 @@ def test_answers_are_the_same_up_to_a_ten_thousandth(share: float, is_copy: bool
     cells.loc[first, "torque_error"] = np.nan
     [ranking] = ranked(cells)
     assert not ranking.same
+
+
+def test_a_part_of_a_run_has_the_members_of_the_family_that_ran() -> None:
+    cells = fabricate(robots=2)
+    part = cells[cells["estimator"].isin(["wls", "good"])]
+    for family, kept in ((["poor", "good", "none"], ["good"]), (["poor"], []), (None, [])):
+        entry = entry_with_cells({"name": "r", "family": family}, part)
+        assert entry == {"name": "r", "family": kept}
 
 
 def test_a_title_is_the_given_one_and_names_the_group() -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq, minimize_scalar
 
 from sysid_bench.apps.actuators.bounded_fit import (
     Group,
@@ -89,29 +89,20 @@ def _profile(groups: Sequence[Group], tau: Array, counts: Array) -> GainProfile:
     def loss(log_gain: float) -> float:
         return sum(_loss(group, tau, counts, np.exp(-log_gain)) for group in groups)
 
-    end = np.log(LARGEST)
-    grid = np.linspace(-end, end, POINTS)
-    losses = np.array([loss(x) for x in grid.tolist()])
-    best, step = grid[np.argmin(losses)], grid[1] - grid[0]
-    bounds = max(best - step, -end), min(best + step, end)
-    found = minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 1e-6})
-    lowest, drop = min(float(found.fun), losses.min()), likelihood_drop()
-    best = float(found.x) if found.fun <= losses.min() else float(best)
+    grid = np.linspace(-np.log(LARGEST), np.log(LARGEST), POINTS)
+    losses, step = np.array([loss(x) for x in grid.tolist()]), grid[1] - grid[0]
+    near = np.clip(grid[np.argmin(losses)] + np.array([-step, step]), grid[0], grid[-1])
+    best = float(minimize_scalar(loss, bounds=near, method="bounded").x)
+    above = losses - loss(best) - likelihood_drop()
     ends = []
-    for side in (-1.0, 1.0):
-        # Out from the best: the first point of the grid above the drop, then between two of them.
-        out = grid[side * (grid - best) > 0.0][:: int(side)]
-        above = next((x for x in out.tolist() if loss(x) - lowest > drop), None)
-        if above is None:
-            ends.append(side * np.inf)
-            continue
-        inside, outside = max(above - side * step, best, key=lambda x: side * x), above
-        for _ in range(20):
-            middle = 0.5 * (inside + outside)
-            inside, outside = (
-                (middle, outside) if loss(middle) - lowest <= drop else (inside, middle)
+    for side in (-1, 1):
+        # Out from the best: the first point of the grid above the drop; infinite without one.
+        beyond = np.flatnonzero((side * (grid - best) > 0.0) & (above > 0.0))[::side]
+        ends.append(side * np.inf)
+        if len(beyond):
+            ends[-1] = brentq(
+                lambda x: loss(x) - loss(best) - likelihood_drop(), best, grid[beyond[0]]
             )
-        ends.append(0.5 * (inside + outside))
     low, high = np.exp(ends).tolist()
     profile = GainProfile(joints, float(np.exp(best)), (low, high))
     return replace(profile, gain=1.0) if profile.is_open else profile

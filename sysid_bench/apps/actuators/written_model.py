@@ -4,6 +4,7 @@ paste for simulators of many robots.
 Fields of the text are those of mjlab 1.6 (`BuiltinPositionActuatorCfg`) and Isaac Lab 2.3
 (`DelayedPDActuatorCfg`), whose delays are counted in steps of the physics."""
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ import numpy as np
 
 from sysid_bench.apps.actuators.rollout import Drives, positions_of, simulation_step
 from sysid_bench.errors import ModelError, UnsupportedError
+from sysid_bench.models.mjcf import stated_actuators
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.mjcf_writer import (
     PositionDrive,
@@ -83,19 +85,9 @@ def torque_limits(robot: RobotModel, commands: Commands) -> Array:
     limits = np.where(np.isfinite(commands.limit), commands.limit, robot.limits.tau[dofs])
     if robot.format != "mjcf" or np.isfinite(limits).all():
         return limits
-    motor = int(mujoco.mjtBias.mjBIAS_NONE)
-    # The actuators themselves are left out of a robot, whose inputs are torques.
-    for one in mujoco.MjSpec.from_file(str(robot.manifest.path)).actuators:
-        if one.target not in commands.joints:
-            continue
-        low, high = one.forcerange
-        if low >= high and one.biastype == motor:
-            low, high = np.array(one.ctrlrange) * one.gainprm[0]
-        # A range [-a, b] holds for either sign only up to the smaller one.
-        largest, j = abs(one.gear[0]) * min(-low, high), commands.joints.index(one.target)
-        if largest > 0.0 and not np.isfinite(limits[j]):
-            limits[j] = largest
-    return limits
+    stated = stated_actuators(robot.manifest.path)
+    of_file = [stated[joint].limit if joint in stated else np.inf for joint in commands.joints]
+    return np.where(np.isfinite(limits), limits, of_file)
 
 
 def replay_positions(file: Path, commands: Commands, rows: slice) -> Array:
@@ -136,15 +128,41 @@ class JointSettings:
     armature: float
     damping: float
     friction: float
+    slides: bool = False
 
 
 def settings_text(
     joints: Mapping[str, JointSettings], delay: tuple[float, float], step: float = STEP
 ) -> dict[str, str]:
-    """Return texts for "mjlab" and "isaaclab"; the range of the delay (s) is rounded outward to
-    physics steps (s)."""
+    """Return texts for "mjlab", "isaaclab" and "usd" (JSON of a joint's attributes); the range of
+    the delay (s), which USD does not have, is rounded outward to physics steps (s)."""
     # Outward: randomisation should cover the whole interval. 1e-9: a delay of whole steps stays.
     lags = int(np.floor(delay[0] / step + 1e-9)), int(np.ceil(delay[1] / step - 1e-9))
+    return {
+        "mjlab": _mjlab(joints, lags, step),
+        "isaaclab": _isaaclab(joints, lags, step),
+        "usd": json.dumps({name: _usd(one) for name, one in joints.items()}, indent=1),
+    }
+
+
+def _usd(one: JointSettings) -> dict[str, float]:
+    """Attributes of UsdPhysics.DriveAPI and of PhysX's PhysxJointAxisAPI (5.6, Isaac Sim 5.0), of
+    which those over an angle or its rate count in degrees."""
+    kind, unit = ("linear", 1.0) if one.slides else ("angular", np.pi / 180.0)
+    drive, axis = f"drive:{kind}:physics", f"physxJointAxis:{kind}"
+    limit = {} if np.isinf(one.limit) else {f"{drive}:maxForce": one.limit}
+    return {
+        f"{drive}:stiffness": one.kp * unit,
+        f"{drive}:damping": one.kd * unit,
+        **limit,
+        f"{axis}:armature": one.armature,
+        f"{axis}:staticFrictionEffort": one.friction,
+        f"{axis}:dynamicFrictionEffort": one.friction,
+        f"{axis}:viscousFrictionCoefficient": one.damping * unit,
+    }
+
+
+def _mjlab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: float) -> str:
     lines = [f"# mjlab; lags in physics steps of {1e3 * step:g} ms", "actuators = ("]
     for name, one in joints.items():
         effort = "" if np.isinf(one.limit) else f" effort_limit={one.limit:.6g},"
@@ -157,7 +175,7 @@ def settings_text(
             f"        delay_min_lag={lags[0]}, delay_max_lag={lags[1]},",
             "    ),",
         ]
-    return {"mjlab": "\n".join([*lines, ")"]), "isaaclab": _isaaclab(joints, lags, step)}
+    return "\n".join([*lines, ")"])
 
 
 def _isaaclab(joints: Mapping[str, JointSettings], lags: tuple[int, int], step: float) -> str:

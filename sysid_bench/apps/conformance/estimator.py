@@ -246,7 +246,7 @@ LINEAR: Final[tuple[Mapping[str, Any], ...]] = (
     {"robot": "random:7"},
     {"robot": "random:12", "noise": {"tau_relative": 0.01}},
     {"robot": "ur5"},
-    {"robot": "z1", "noise": {"tau_relative": 0.01}, "prior": "none"},
+    {"robot": "ur10", "noise": {"tau_relative": 0.01}, "prior": "none"},
     {"robot": "panda", "task": "payload", "payload": "box-2kg"},
     {"robot": "ur10", "task": "link", "payload": "box-2kg", "noise": {"tau_relative": 0.01}},
 )

@@ -7,11 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, TypeVar
 
 from sysid_bench.errors import UsageError, first_names, unknown_name
-from sysid_bench.harness.comparison.run_difference import (
-    ROUNDING_SHARE,
-    STATUS,
-    RunDifference,
-)
+from sysid_bench.harness.comparison.run_difference import ROUNDING_SHARE, STATUS, RunDifference
 from sysid_bench.harness.comparison.run_values import CellValues, RunValues, Tolerance, tolerance_of
 from sysid_bench.harness.comparison.speed import ALL, Key, Speed
 from sysid_bench.input_files import parse_json
@@ -42,9 +38,7 @@ class Baseline:
 
 
 def baseline_of(
-    run: RunValues,
-    tolerances: Mapping[str, Tolerance] | None = None,
-    digits: int = EXACT_DIGITS,
+    run: RunValues, tolerances: Mapping[str, Tolerance] | None = None, digits: int = EXACT_DIGITS
 ) -> Baseline:
     """The baseline of a run; `tolerances` replace default ones. Raises UsageError for a tolerance
     of a metric that is not compared, and for a run without any row."""

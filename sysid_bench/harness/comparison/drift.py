@@ -32,10 +32,7 @@ class Drift:
 
 
 def find_drift(
-    before: RunValues,
-    after: RunValues,
-    cells: Collection[str],
-    tolerances: Mapping[str, Tolerance],
+    before: RunValues, after: RunValues, cells: Collection[str], tolerances: Mapping[str, Tolerance]
 ) -> tuple[Drift, ...]:
     """Return the drifts of the metrics that are compared by a factor and have a better direction,
     over those of `cells` that both runs have; values beyond their tolerance are changes of their

@@ -316,7 +316,7 @@ def _ratio(
     logs: dict[str, list[float]] = {}
     for robot, values in pairs.items():
         # A ratio of two roundings says nothing. Those within the digits of a baseline are zero.
-        sound = (pair for pair in values if min(pair) > max(floor, 0.0))
+        sound = (pair for pair in values if min(pair) > floor)
         of_robot = [float(np.log(now / was)) for was, now in sound]
         # Below the digits of a baseline: such a log must not give the rank test a sign.
         logs[robot] = [0.0 if abs(log) < _DIGITS else log for log in of_robot]

@@ -221,10 +221,7 @@ def _records(frame: "pd.DataFrame") -> Iterator[Row]:
 
 
 def cell_values(
-    first: Mapping[str, Any],
-    row: Row | None,
-    axes: Sequence[str],
-    metrics: Mapping[str, Metric],
+    first: Mapping[str, Any], row: Row | None, axes: Sequence[str], metrics: Mapping[str, Metric]
 ) -> CellValues:
     """Values of a cell from its first fields and its row (None: it has none yet)."""
     labels = tuple(str(first[axis]) for axis in axes)

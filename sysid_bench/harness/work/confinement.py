@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final, NoReturn
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.work.process_tree import MARK, kill_with
+from sysid_bench.harness.work.process_tree import MARK, end_as, kill_with
 from sysid_bench.words import NAMESPACES, PROCESS
 
 ISOLATION: Final = "SYSID_BENCH_ISOLATION"
@@ -196,13 +196,7 @@ def _end_like(status_in: int, first: int) -> NoReturn:
     data = os.read(status_in, 4)
     os.waitpid(first, 0)
     status = int.from_bytes(data, "little") if len(data) == 4 else int(signal.SIGKILL)
-    code = os.waitstatus_to_exitcode(status)
-    if code < 0:
-        hide_memory(True)  # no core file
-        with contextlib.suppress(OSError, ValueError):  # SIGKILL has no handler
-            signal.signal(-code, signal.SIG_DFL)
-        os.kill(os.getpid(), -code)
-    os._exit(code & 0xFF)
+    end_as(os.waitstatus_to_exitcode(status))
 
 
 def _close_pipes(keep: int) -> None:

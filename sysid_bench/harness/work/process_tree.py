@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Final
+from typing import Final, NoReturn
 
 MARK: Final = "SYSID_BENCH_WORKER"
 """Environment variable of a worker and all that inherits from it; its value names the worker."""
@@ -74,8 +74,11 @@ def start_process(parent: int, close: Callable[[], None]) -> None:
             while (ended := os.waitpid(-1, os.WNOHANG))[0]:
                 codes[ended[0]] = os.waitstatus_to_exitcode(ended[1])
     codes |= kill_subtree()
-    # End this process with an exit code, or by the signal of a negative one, without a core
-    code = codes.get(fork, 1)
+    end_as(codes.get(fork, 1))
+
+
+def end_as(code: int) -> NoReturn:
+    """End this process with an exit code, or by the signal of a negative one, without a core."""
     if code < 0:
         _prctl(_PR_SET_DUMPABLE, 0)
         with contextlib.suppress(OSError, ValueError):  # SIGKILL has no handler

@@ -118,8 +118,7 @@ def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
     kill_with(parent)
     # Close what the parent has open (row file, notices, lock), except the standard streams.
     # Close-on-exec does not act at a fork, and an orphan would hold the lock of the run.
-    open_now = os.listdir("/proc/self/fd") if sys.platform == "linux" else ()
-    for descriptor in map(int, open_now):
+    for descriptor in map(int, os.listdir("/proc/self/fd")):
         if descriptor > 2 and descriptor != pipe:
             with contextlib.suppress(OSError):
                 os.close(descriptor)

@@ -65,8 +65,8 @@ class ActuatorsResult(IdentifyResult):
     files from three on. `motors`: of joints that name one, its `name`, and `armature` with `std`, a
     prior of the fit. `gains` (with `also`): {joints, gain over the stated one, low, high;
     determined} of joints that share one. `lost_motion` (rad, m): {joint: {width of the hysteresis
-    between position and command, 2 fc / kp; std}}. `configurations`: texts for "mjlab" and
-    "isaaclab".
+    between position and command, 2 fc / kp; std}}. `configurations`: texts for "mjlab",
+    "isaaclab" and "usd" (JSON).
     """
 
     delay: float
@@ -239,8 +239,8 @@ def gain_text(one: Mapping[str, Any]) -> str:
     if not one["determined"]:
         return f"  gain of {names}: {RATIOS}"
     return (
-        f"  {MORE_NAMES['gain']}: {one['gain']:.3g} ({one['low']:.3g} to {one['high']:.3g}), one "
-        f"of {names}"
+        f"  {MORE_NAMES['gain']}: {one['gain']:.3g} ({one['low']:.3g} to {one['high']:.3g} if "
+        f"the model is exact), one of {names}"
     )
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-import mujoco
 import numpy as np
 
 from sysid_bench.apps.actuators.command_design import (
@@ -21,6 +20,7 @@ from sysid_bench.apps.actuators.command_design import (
 from sysid_bench.apps.actuators.delay_profile import RESOLVED
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS, joint_indices
 from sysid_bench.apps.actuators.rollout import missing_simulation
+from sysid_bench.apps.actuators.written_model import torque_limits
 from sysid_bench.commands.excite import ACTUATORS, ExciteCommand
 from sysid_bench.commands.request import OnValue
 from sysid_bench.commands.result import Result, file_text
@@ -32,6 +32,7 @@ from sysid_bench.excitation.motion_output import check_output
 from sysid_bench.models.joint_terms import USUAL
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.mjcf import stated_actuators
 from sysid_bench.models.motor_table import motor
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.position_control import Commands, largest_torque, of_motors
@@ -269,7 +270,7 @@ def _problem(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
         low=low,
         high=high,
         v=np.minimum(_limit(request, "v", limits.v[v]), values["line"][1]),
-        tau=np.minimum(_limit(request, "tau", limits.tau[v]), largest_torque(motors)),
+        tau=np.minimum(_limit(request, "tau", torque_limits(robot, whole)), largest_torque(motors)),
         reach=np.minimum(np.where(np.isfinite(half), half, np.inf), REACH),
         crowding=_crowding(robot, q),
         line=values["line"],
@@ -300,14 +301,8 @@ def _gain(request: CommandsRequest, robot: RobotModel, name: str, joints: Sequen
     """Gains (k,) of a request, else those of the model's position actuators."""
     if name in request.gains:
         return _numbers(f"The gain {name}", request.gains[name], len(joints))
-    mj = robot.mj
-    # The force of a position servo is kp (ctrl - q) - kd v, with biasprm = [0, -kp, -kd].
-    of_joint = mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    found = -mj.actuator_biasprm[:, 1 + GAINS.index(name)]
-    by_joint = {
-        mj.joint(int(mj.actuator_trnid[i, 0])).name: float(found[i])
-        for i in np.flatnonzero(of_joint & (found > 0.0))
-    }
+    stated = stated_actuators(robot.manifest.path) if robot.format == "mjcf" else {}
+    by_joint = {joint: getattr(one, name) for joint, one in stated.items() if one.kp > 0.0}
     if not set(joints) <= set(by_joint):
         raise UsageError(
             f"Which gains has the controller? {robot.name} has no position actuators that state "

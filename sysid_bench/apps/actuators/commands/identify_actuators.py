@@ -293,7 +293,7 @@ def _configurations(result: ActuatorsResult, part: DrivePart) -> dict[str, str]:
     if commands is None:
         return {}
     commands = commands.of(result.rows)
-    limits = torque_limits(part.robot, commands)
+    limits, kinds = torque_limits(part.robot, commands), scalar_kinds(part.robot)
     settings = {
         name: JointSettings(
             kp=joint.get("gain", 1.0) * float(commands.kp[-1, j]),
@@ -302,6 +302,7 @@ def _configurations(result: ActuatorsResult, part: DrivePart) -> dict[str, str]:
             armature=joint["Ia"],
             damping=joint["fv"],
             friction=joint["fc"],
+            slides=kinds[name] == "slide",
         )
         for j, (name, joint) in enumerate(result.joints.items())
     }
