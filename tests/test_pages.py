@@ -1,6 +1,7 @@
 """The pages of docs/: each page's files alone make its commands run, top to bottom, in a folder."""
 
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,8 @@ import pytest
 from tests.printed_commands import blocks, place, run_line, run_python
 
 DOCS = Path(__file__).parents[1] / "docs"
-ELSEWHERE = {"continuous-integration.md", "index.md"}
-"""Run by a test of its own; commands of the first page, which run on other pages."""
+ELSEWHERE = {"continuous-integration.md", "index.md", "servo-arm.md"}
+"""Run by tests of their own; commands of the first page, which run on other pages."""
 
 
 def blocks_of(page: Path) -> list[tuple[str, str]]:
@@ -54,8 +55,18 @@ def test_a_page_runs_as_printed(page: Path, tmp_path: Path) -> None:
         assert "Ridge" in (tmp_path / "reports" / "mine" / "tables" / "main.md").read_text()
 
 
+@pytest.mark.data
+@pytest.mark.tutorial
+def test_the_servo_arm_runs_as_printed(data_folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "so101_sage").symlink_to(data_folder / "so101_sage")
+    shutil.copy(data_folder / "robots/robotstudio_so101__so101.xml", tmp_path / "so101.xml")
+    for kind, text in steps(DOCS / "tutorials/servo-arm.md", tmp_path):
+        done = (run_line if kind == "sh" else run_python)(text, tmp_path)
+        assert done.returncode == 0, f"{text}: {done.stdout}\n{done.stderr}"
+
+
 def test_the_tutorials_have_commands() -> None:
-    names = {page.stem for page in pages()}
+    names = {page.stem for page in pages()} | {"servo-arm"}
     assert {page.stem for page in (DOCS / "tutorials").glob("*.md")} <= names
     assert len(names) >= 7
 

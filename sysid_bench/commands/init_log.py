@@ -41,7 +41,7 @@ class InitLog(Request["InitLogResult"]):
         """
         from sysid_bench.models.load import load_robot
         from sysid_bench.models.manifest import find_manifest
-        from sysid_bench.signals.log_guess import guess_log
+        from sysid_bench.signals.log_guess import GAINS_OF_FILE, guess_log
         from sysid_bench.signals.log_reader import read_table
 
         paths = self._paths()
@@ -61,6 +61,7 @@ class InitLog(Request["InitLogResult"]):
         command = f"sysid-bench identify {self.model} --log {target}"
         if "pd" in (guess.keys.get("tau") or guess.proposal or {}):
             command += " --task actuators"
+            command += " --also gain" if any(GAINS_OF_FILE in text for text in doubts) else ""
         if accepted:
             command += f" --accept {accepted}  # or settle the doubts first"
         write_new(target, _text(guess, doubts, self.model), self.force)

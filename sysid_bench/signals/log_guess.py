@@ -2,13 +2,14 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError, first_names
+from sysid_bench.models.mjcf import stated_actuators
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals import column_names
 from sysid_bench.signals.column_names import role_of, words_of
@@ -38,6 +39,11 @@ NO_CONTROLLER: Final = (
     "tau: the recording holds positions and their commands without torques: write kp and kd of the "
     "position controller (N m/rad, N m s/rad), and the task 'actuators' identifies armature and "
     "friction"
+)
+
+GAINS_OF_FILE: Final = (
+    "no torque was recorded, but commands; kp and kd are those of the actuators of the model file, "
+    "which are often far from those of the controller: a start for --also gain"
 )
 
 
@@ -102,8 +108,11 @@ def guess_log(tables: Tables, robot: RobotModel) -> LogGuess:
     if "tau" in found:
         lacks = NO_GAIN if found["tau"].is_current and not found["tau"].gain else ""
     elif "q_des" in found:
-        lacks = "" if where.gains.keys() == {"kp", "kd"} else NO_CONTROLLER
-        controlled = _controlled(found, {"kp": [], "kd": [], **where.gains}, signals)
+        gains = {**_gains_of_file(robot, of_joints.value), **where.gains}
+        lacks = "" if gains.keys() == {"kp", "kd"} else NO_CONTROLLER
+        controlled = _controlled(found, {"kp": [], "kd": [], **gains}, signals)
+        if not lacks and where.gains.keys() < gains.keys():
+            controlled = replace(controlled, reason=f"{DOUBT}{GAINS_OF_FILE}")
         signals += [] if lacks else [controlled]
         proposal = controlled.value
     else:
@@ -113,6 +122,14 @@ def guess_log(tables: Tables, robot: RobotModel) -> LogGuess:
             raise _incomplete(tables, where)
     entries = (*of_files, of_joints, *of_time, *signals)
     return LogGuess(entries, lacks, where.unused, where.explained, proposal)
+
+
+def _gains_of_file(robot: RobotModel, joints: Sequence[str]) -> dict[str, list[float]]:
+    """Return kp and kd of the position actuators of the model file, where each joint has one."""
+    stated = stated_actuators(robot.manifest.path) if robot.format == "mjcf" else {}
+    if any(name not in stated or stated[name].kp <= 0.0 for name in joints):
+        return {}
+    return {key: [getattr(stated[name], key) for name in joints] for key in ("kp", "kd")}
 
 
 def _controlled(

@@ -39,6 +39,7 @@ def test_p_is_that_of_all_signs_with_ties_and_zeros(seed: int) -> None:
     whole = rng.integers(-3, 5, size=rng.integers(1, 11)).astype(float)
     if whole.any():
         assert rank_test_p(whole) == pytest.approx(enumerated_p(whole), abs=1e-14)
+    assert rank_test_p(np.concatenate([whole, -whole])) == 1.0  # twice a half and more is all
     smooth = rng.normal(0.3, 1.0, size=5 + 4 * seed)
     assert rank_test_p(smooth) == pytest.approx(wilcoxon(smooth, method="exact").pvalue, rel=1e-12)
 

@@ -331,11 +331,43 @@ def test_a_rank_is_among_the_robots_that_all_methods_answer(seed: int) -> None:
     assert (finding.low, finding.high) == (figure.low, figure.high)
 
 
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        ({}, "cell"), ({"select": 'joint == "j1"'}, "joint"), ({"over": "joint"}, "joint"),
+        ({"metric": "joint_error"}, "joint"), ({"meets": "joint_error < 1"}, "joint"),
+        ({"statistic": "left-out", "metric": None}, "left-out"),
+    ],
+)  # fmt: skip
+def test_a_claim_looks_at_the_lines_of_its_fields(changes: dict[str, Any], wanted: str) -> None:
+    asked: list[str] = []
+
+    def lines(kind: str) -> pd.DataFrame:
+        asked.append(kind)
+        return cells()[:0]
+
+    fields = ClaimRows(
+        "s", lines, lambda text, row: True, lambda t: Expression.parse(t).fields, METRICS
+    )
+    next(claim_findings({**CLAIM, **changes}, fields))
+    assert asked == [wanted]
+
+
+def test_one_row_is_tested_and_decides_nothing() -> None:
+    lines = cells(robots=ROBOTS[:1])
+    one = lines[(lines["plant"] == "L1") & (lines["repeat"] == 0)]
+    for statistic, against in (("ratio", CLAIM["against"]), ("median", None)):
+        finding = found(one, statistic=statistic, against=against)
+        assert (finding.verdict, finding.count, finding.cells) == ("open", 1, 1)
+
+
 def test_what_is_not_testable_counts_nothing() -> None:
     for changes in ({"missing": "a thermometer"}, {"level": ("L4",)}, {"metric": "seconds"}):
         finding = found(cells(), **changes)
         assert (finding.count, finding.cells, finding.lost) == (0, 0, 0)
         assert (finding.value, finding.low, finding.high) == (None, None, None)
+        assert finding.level == changes.get("level", ("L1",))[0]
+    assert found(cells(), missing="a thermometer", level=()).level == "-"
 
 
 @pytest.mark.parametrize("of", [20, 30])

@@ -266,7 +266,7 @@ def drawn(seed: int, metric: str) -> pd.DataFrame:
         for method in ("wls", "one", "two", "three"):
             kind = rng.choice(["row", "none", "failed", "empty", "floor"], p=[0.8, *[0.05] * 4])
             error = float(rng.lognormal(0.3 * (method == "two"), 0.5))
-            error *= 10.0 ** rng.choice([-5.9, -6.1, -1.0]) if repeat == 3 else 1.0
+            error = rng.choice([0.9e-6, 1e-6, 1.1e-6, error]) if repeat == 3 else error
             error = floor * rng.choice([0.5, 1.0, 1.5]) if kind == "floor" else error
             row: dict[str, Any] = {
                 "estimator": method,
