@@ -152,8 +152,11 @@ class Bench:
 
 
 def _doubts(findings: Sequence[Finding], loaded: bool) -> list[Finding]:
-    """Findings but notes, and but the tool that is there."""
-    return [f for f in findings if f.severity != NOTE and not (loaded and f.name == LOAD)]
+    """Findings but notes, and but the tool that is there, unless something else is as likely."""
+    return [
+        f for f in findings
+        if f.severity != NOTE and not (loaded and f.name == LOAD and not f.as_likely)
+    ]  # fmt: skip
 
 
 def _as_likely(found: Finding) -> list[tuple[str, tuple[str, ...]]]:

@@ -71,15 +71,20 @@ def contradictions(evidence: DiagnoseInput) -> list[Finding]:
     """Return the mistakes that a robot near the model explains, each after the one before it is
     corrected."""
     found: list[Finding] = []
+    unsure: dict[int, str] = {}
     current = first_hypothesis(evidence)
     for _ in range(ROUNDS):
         candidates = _ranked_candidates(current)
         if not candidates:
             break
         found.append(_finding(candidates, current))
+        unsure[len(found) - 1] = candidates[0].doubt
         if found[-1].severity != ERROR and candidates[0].most == ERROR:
             break
         current = candidates[0].hypothesis
+    # Gains found one after another, as of currents, have made up for each other.
+    if sum(bool(doubt) for doubt in unsure.values()) > 1:
+        found = [replace(one, edit=unsure[k] or one.edit) for k, one in enumerate(found)]
     return found
 
 

@@ -61,39 +61,30 @@ def joint_gains(before: Hypothesis) -> Iterator[Candidate]:
         logs = np.where(wrong, middle if is_common else logs, 0.0)
     gains, half = np.exp(logs), NORMAL * float(deviation[wrong].max())
     cured, (edit, doubt) = before.with_torque(np.diag(gains)), gain_edits(e, gains, half)
-    joints = tuple(range(e.count)) if is_current else tuple(np.flatnonzero(wrong).tolist())
+    hit = np.flatnonzero(wrong).tolist()
+    name, joints, unknowns, interval = "gain", tuple(hit), float(len(hit)), None
     if is_current:
-        listed = ", ".join(f"{e.joints[j]} {gains[j]:.3g}" for j in np.flatnonzero(wrong))
-        yield Candidate(
-            "current", joints, cured,
-            f"torques are off by a factor of their own in each joint ({listed}): currents?",
-            f'{edit}, and unit = "A" where these are currents', BLIND,
-            unknowns=float(e.count), doubt=doubt,
-        )  # fmt: skip
-        return
-    parts, size = _by_factor(before, gains, joints, is_common), float(np.exp(abs(middle)))
-    # One factor is known as well as all of its joints together know it.
-    close = NORMAL / float(np.sqrt((deviation[wrong] ** -2).sum()))
+        listed = ", ".join(f"{e.joints[j]} {gains[j]:.3g}" for j in hit)
+        text = f"torques are off by a factor of their own in each joint ({listed}): currents?"
+        edit = f'{edit}, and unit = "A" where these are currents'
+        name, joints, unknowns = "current", tuple(range(e.count)), float(e.count)
+    elif is_common:
+        # One factor is known as well as all of its joints together know it.
+        close, size = NORMAL / np.sqrt((deviation[wrong] ** -2).sum()), np.exp(abs(middle))
+        interval, unknowns = (float(size * np.exp(-close)), float(size * np.exp(close))), 1.0
+        listed = ", ".join(e.joints[j] for j in hit)
+        text = f"the torques of {listed} are about {_times(gains[hit[0]])}"
+    else:
+        text = "; ".join(f"the torque of {e.joints[j]} is about {_times(gains[j])}" for j in hit)
     yield Candidate(
-        "gain", joints, cured, f"{parts}: a gear or a drive constant", edit, BLIND,
-        unknowns=1.0 if is_common else float(len(joints)), doubt=doubt,
-        estimate=f"{size:.3g} times too {'small' if middle > 0 else 'large'}" if is_common else "",
-        interval=(size * np.exp(-close), size * np.exp(close)) if is_common else None,
+        name, joints, cured, text if is_current else f"{text}: a gear or a drive constant", edit,
+        BLIND, unknowns=unknowns, doubt=doubt, interval=interval,
+        estimate=_times(gains[hit[0]]) if interval else "",
     )  # fmt: skip
 
 
-def _by_factor(before: Hypothesis, gains: Array, joints: tuple[int, ...], is_common: bool) -> str:
-    """Return the joints with their factors as text."""
-
-    def text(factor: float) -> str:
-        size, kind = max(factor, 1 / factor), "small" if factor > 1 else "large"
-        return f"about {size:.3g} times too {kind}"
-
-    names = before.evidence.joints
-    if is_common:
-        listed = ", ".join(names[j] for j in joints)
-        return f"the torques of {listed} are {text(gains[joints[0]])}"
-    return "; ".join(f"the torque of {names[j]} is {text(gains[j])}" for j in joints)
+def _times(factor: float) -> str:
+    return f"{max(factor, 1 / factor):.3g} times too {'small' if factor > 1 else 'large'}"
 
 
 def _log_gains(before: Hypothesis) -> tuple[Array, Array]:
@@ -103,7 +94,9 @@ def _log_gains(before: Hypothesis) -> tuple[Array, Array]:
     links, slope = np.zeros(model.rank), np.ones(n)
     for _ in range(TURNS):
         parts = [_without_terms(before, j, links) for j in range(n)]
-        slope = np.array([_ratio(part[-2, -1], part[-2, -2]) for part in parts])
+        slope = np.array(
+            [part[-2, -1] / part[-2, -2] if part[-2, -2] > 0 else 0.0 for part in parts]
+        )
         gains = 1.0 / np.where(slope > 0, slope, 1.0)
         fit = before.with_torque(np.diag(gains)).fit
         links = model.basis.T @ ((fit.links - model.known) / model.scale)
@@ -145,7 +138,3 @@ def _deviations(before: Hypothesis, links: Array, slope: Array, used: Array) -> 
     variance = np.diag(inverse)[r:]
     known = (variance > 0) & (variance < 1e8)
     return np.where(known, np.sqrt(np.where(known, variance, 1.0)) / size[r:], np.inf)
-
-
-def _ratio(product: float, size: float) -> float:
-    return float(product / size) if size > 0 else 0.0

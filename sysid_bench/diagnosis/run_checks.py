@@ -10,6 +10,7 @@ from sysid_bench.diagnosis.command_checks import position_commands
 from sysid_bench.diagnosis.contradictions import contradictions
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import SEVERITIES, WARNING, Finding
+from sysid_bench.diagnosis.torque_candidates import open_gains
 
 GROUPS: Final[Sequence[tuple[str, Sequence[Callable[[DiagnoseInput], Iterable[Finding]]]]]] = (
     ("columns and units", (
@@ -18,7 +19,7 @@ GROUPS: Final[Sequence[tuple[str, Sequence[Callable[[DiagnoseInput], Iterable[Fi
         of_channels.spikes, of_channels.held_channels, of_channels.clipped_channels,
         position_commands)),
     ("model", (of_joints.model_inertia, of_joints.model_limits)),
-    ("signs, columns, gains and geometry", (contradictions,)),
+    ("signs, columns, gains and geometry", (contradictions, open_gains)),
     ("time", (of_joints.torque_delay,)),
     ("terms", (of_joints.joints_without_fit, of_joints.missing_terms)),
     ("excitation", (of_joints.standstill, of_joints.excitation)),

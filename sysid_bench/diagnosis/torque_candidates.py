@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.diagnose_input import TOOL
-from sysid_bench.diagnosis.finding import ERROR, WARNING
+from sysid_bench.diagnosis.diagnose_input import TOOL, DiagnoseInput
+from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.diagnosis.gain_candidates import WIDEST
 from sysid_bench.diagnosis.hypothesis import (
     NORMAL,
@@ -16,6 +16,7 @@ from sysid_bench.diagnosis.hypothesis import (
     Hypothesis,
     columns_edit,
     curvature_half,
+    first_hypothesis,
     gain_edits,
     joint_factors,
     setting_edit,
@@ -37,6 +38,8 @@ SMALLEST: Final = 1.8
 """A smaller gain may be the spread of masses between a model file and its robot as well."""
 SAME: Final = 3.0
 """A gain of all joints that may be smaller may be that of all masses: nothing tells them apart."""
+APART: Final = 3.0
+"""Factor of one joint that fits better beside the common one: that is not common, then."""
 GROSS: Final = 10.0
 """No model file is wrong by a larger one in all of its masses."""
 KNOWN: Final = {1e3: "mN m for N m", 180 / np.pi: "degrees for radians in a gain"}
@@ -156,6 +159,11 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
             names = ", ".join(e.joints[j] for j in deciding)
             cause += "; the torques of the other joints do not decide it"
             joints, found = tuple(deciding), scaled(factor, deciding)
+        # Currents have a factor of their own in each joint: the common one is none of them.
+        own = (joint_factors(e.count, [j], k) for j in joints for k in (1 / APART, APART))
+        score = found.fit.score - NORMAL**2
+        if any(found.with_torque(np.diag(one)).fit.score < score for one in own):
+            half = max(half, float(np.log(APART)))
     interval = float(size * np.exp(-half)), float(size * np.exp(half))
     estimate = f"{size:.3g} times too {'small' if factor > 1 else 'large'}"
     between = f"{level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}]"
@@ -167,6 +175,27 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
         # Links without mass fit small torques as well, at no cost but the prior's.
         is_gross=is_common and interval[0] > GROSS and e.placeholder == "",
     )  # fmt: skip
+
+
+def open_gains(evidence: DiagnoseInput) -> Iterator[Finding]:
+    """Yield the joints whose torque other gains explain as well: friction, which may have any size,
+    is most of it."""
+    before, n, listed, names = first_hypothesis(evidence), evidence.count, [], []
+    for j in np.flatnonzero(evidence.rms > 0).tolist():
+        tried = [before.with_torque(np.diag(joint_factors(n, [j], k))) for k in FACTORS]
+        scores = np.array([one.fit.score for one in tried])
+        possible = FACTORS[scores < before.fit.score + NORMAL**2]
+        if possible.max() > 9 * possible.min():
+            low = possible.min() if possible.min() > FACTORS[0] else 0.0
+            names.append(evidence.joints[j])
+            listed.append(f"{names[-1]} {low:.3g} to {possible.max():.3g}")
+    if names:
+        yield Finding(
+            "undecided", NOTE,
+            "the recording does not decide the gain of joints whose torque is mostly friction "
+            f"(times the stated one: {', '.join(listed)}): the stated one is accepted",
+            tuple(names), edit="compare with the data sheet of the drive",
+        )  # fmt: skip
 
 
 def _cause(size: float, half: float) -> str:

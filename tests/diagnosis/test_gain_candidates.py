@@ -10,6 +10,7 @@ import pytest
 from sysid_bench.diagnosis.contradictions import contradictions
 from sysid_bench.diagnosis.gain_candidates import joint_gains
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
+from sysid_bench.diagnosis.run_checks import diagnose
 from tests.diagnosis.test_diagnosis import evidence, loaded_log, log_of
 from tests.robots import named_robot
 
@@ -124,3 +125,15 @@ def test_explanations_with_a_number_have_its_interval(tmp_path: Path) -> None:
     assert (zero.name, zero.estimate.split()[1]) == ("offset", "rad")
     low, high = zero.interval or (0.0, 0.0)
     assert 0.0 < low < 0.4 < high
+
+
+@pytest.mark.parametrize("factor", [0.2, 5.0])
+def test_a_gain_that_friction_hides_is_named_as_undecided(tmp_path: Path, factor: float) -> None:
+    """The last joint of this arm carries next to nothing: its torque is friction."""
+    log, robot = log_of("tx40"), named_robot("tx40")
+    tau = log.tau * np.where(np.arange(6) == 5, factor, 1.0)
+    found = diagnose(evidence(tmp_path, replace(log, tau=tau), robot))
+    assert not [one for one in found if one.name == "gain" and log.joints[5] in one.joints]
+    (note,) = (one for one in found if one.name == "undecided")
+    assert log.joints[5] in note.joints
+    assert log.joints[1] not in note.joints
