@@ -14,8 +14,8 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.model_record import seed_content
 from sysid_bench.models.random_robot import random_robot
 
-SPELLED: Final = {"file", "model", "robot", "seconds", "title"}
-"""Fields that hold the path or the name as it was given, and a time."""
+SPELLED: Final = {"advice", "file", "model", "robot", "seconds", "title"}
+"""Fields that hold the path or the name as it was given (cures name the file), and a time."""
 
 VERBS: Final[Mapping[str, Callable[[str, Path], Any]]] = {
     "identify": lambda model, out: sysid_bench.identify(model, noise={"tau": "1 %"}),
