@@ -4,6 +4,7 @@ A mistake leaves a residual that other candidates remove in part as well; the on
 evidence is named first, and every kind of explanation that gains anything stands in its table.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
@@ -85,7 +86,11 @@ def contradictions(evidence: DiagnoseInput) -> list[Finding]:
     # Gains found one after another, as of currents, have made up for each other.
     if sum(bool(doubt) for doubt in unsure.values()) > 1:
         found = [replace(one, edit=unsure[k] or one.edit) for k, one in enumerate(found)]
-    return found
+    # A mistake that is found again once it is corrected has no number that anybody should apply.
+    times = Counter((one.name, one.joints) for one in found)
+    return [
+        replace(one, severity=WARNING) if times[one.name, one.joints] > 1 else one for one in found
+    ]
 
 
 def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
