@@ -172,7 +172,7 @@ def test_commands_ahead_of_their_stamps_hold_the_last_one(shift: float) -> None:
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-@pytest.mark.parametrize("also", [["gain"], ["gain", "bias"]])
+@pytest.mark.parametrize("also", [["gain"], pytest.param(["gain", "bias"], marks=pytest.mark.long)])
 @pytest.mark.parametrize("joint", range(3))
 def test_joints_without_motion_and_command_leave_no_warning(
     leg_file: Path, joint: int, also: list[str]

@@ -37,7 +37,7 @@ def rssr(seed: int, tilt: float = 0.0) -> str:
     <equality><connect site1="end" site2="tip"/></equality></mujoco>"""
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 @pytest.mark.parametrize("tilt", [0.0, -0.0002])
 def test_exact_data_are_answered_to_rounding_or_the_reason_is_said(
     seed: int, tilt: float, tmp_path: Path

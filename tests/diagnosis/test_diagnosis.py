@@ -206,6 +206,7 @@ def test_rotors_are_advised_only_where_the_terms_of_the_robot_lack_them(
     assert advised[1] == set()
 
 
+@pytest.mark.long
 def test_numbers_in_memory_are_diagnosed_like_their_file(tmp_path: Path) -> None:
     log = replace(log_of("ur5"), tau=-log_of("ur5").tau)
     arrays = {"t": log.t, "q": log.q, "v": log.v, "tau": log.tau}
@@ -281,7 +282,9 @@ def test_only_long_delays_contradict(tmp_path: Path, delay: float) -> None:
     assert severity[log.joints[1]] == (ERROR if delay > 0.045 else NOTE)
 
 
-@pytest.mark.parametrize("joint", [0, 1, 2, None])
+@pytest.mark.parametrize(
+    "joint", [1, None, *(pytest.param(j, marks=pytest.mark.long) for j in (0, 2))]
+)
 def test_a_gain_is_found_beside_joints_that_nothing_explains(
     tmp_path: Path, joint: int | None
 ) -> None:
@@ -324,7 +327,7 @@ def test_a_load_that_the_model_lacks_is_no_gain(tmp_path: Path, name: str, mass:
 
 
 @pytest.mark.parametrize("joint", [0, 1, 4, None])
-@pytest.mark.parametrize("factor", [10.0, 0.2])
+@pytest.mark.parametrize("factor", [pytest.param(10.0, marks=pytest.mark.long), 0.2])
 def test_a_gain_is_no_load(tmp_path: Path, factor: float, joint: int | None) -> None:
     log = log_of("tx40")
     tau = log.tau.copy()
@@ -381,7 +384,10 @@ def test_torques_too_small_to_be_squared_leave_no_warning(tmp_path: Path, j: int
     assert diagnose(evidence(tmp_path, replace(log, tau=tau), robot))
 
 
-@pytest.mark.parametrize(("name", "mass"), [("ur5", 3.0), ("kinova", 1.0), ("xarm7", 2.0)])
+@pytest.mark.parametrize(
+    ("name", "mass"),
+    [("ur5", 3.0), ("kinova", 1.0), pytest.param("xarm7", 2.0, marks=pytest.mark.long)],
+)
 def test_explanations_of_a_contradiction_stand_in_one_table(
     tmp_path: Path, name: str, mass: float
 ) -> None:

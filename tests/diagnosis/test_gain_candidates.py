@@ -20,7 +20,12 @@ def numbers(edit: str) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "factor"), [((0, 1, 2), 100.0), ((2, 3), 0.02), ((3, 4, 5), 100.0)]
+    ("wrong", "factor"),
+    [
+        pytest.param((0, 1, 2), 100.0, marks=pytest.mark.long),
+        ((2, 3), 0.02),
+        pytest.param((3, 4, 5), 100.0, marks=pytest.mark.long),
+    ],
 )
 def test_one_factor_on_some_joints_is_named(
     tmp_path: Path, wrong: tuple[int, ...], factor: float
@@ -34,7 +39,7 @@ def test_one_factor_on_some_joints_is_named(
     np.testing.assert_allclose(np.array(numbers(first.edit)) * gains, 1.0, rtol=0.6)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_currents_are_no_torques(tmp_path: Path, seed: int) -> None:
     log, robot = log_of("panda"), named_robot("panda")
     constants = np.exp(np.random.default_rng(seed).uniform(np.log(5), np.log(50), len(robot.rows)))
@@ -55,7 +60,9 @@ def test_intact_torques_have_no_gains_of_their_own(tmp_path: Path, name: str) ->
     assert not list(joint_gains(first_hypothesis(evidence(tmp_path, log, told))))
 
 
-@pytest.mark.parametrize(("name", "mass"), [("panda", 1.6), ("ur5", 2.0)])
+@pytest.mark.parametrize(
+    ("name", "mass"), [pytest.param("panda", 1.6, marks=pytest.mark.long), ("ur5", 2.0)]
+)
 @pytest.mark.parametrize("factor", [0.01, 3.0])
 def test_a_gain_of_all_joints_is_found_behind_a_tool(
     tmp_path: Path, name: str, mass: float, factor: float
@@ -79,7 +86,9 @@ def test_a_joint_without_motion_and_torque_has_no_gain(tmp_path: Path) -> None:
     assert not list(joint_gains(first_hypothesis(evidence(tmp_path, log, robot))))
 
 
-@pytest.mark.parametrize(("name", "mass"), [("ur5", 3.0), ("panda", 3.0)])
+@pytest.mark.parametrize(
+    ("name", "mass"), [("ur5", 3.0), pytest.param("panda", 3.0, marks=pytest.mark.long)]
+)
 def test_a_mistake_hidden_behind_a_load_comes_first(tmp_path: Path, name: str, mass: float) -> None:
     log = replace(loaded_log(name, mass), joints=named_robot(name).rows)
     signs = np.where(np.arange(log.tau.shape[1]) == 2, -1.0, 1.0)
@@ -89,7 +98,7 @@ def test_a_mistake_hidden_behind_a_load_comes_first(tmp_path: Path, name: str, m
     assert found[0].joints == log.joints[2:3]
 
 
-@pytest.mark.parametrize("factor", [0.1, 10.0])
+@pytest.mark.parametrize("factor", [0.1, pytest.param(10.0, marks=pytest.mark.long)])
 def test_a_factor_that_is_not_sure_is_no_number_in_a_cure(tmp_path: Path, factor: float) -> None:
     """Whatever is found: numbers in a cure are right within 3 on each joint that they change."""
     log, robot = log_of("tx40"), named_robot("tx40")

@@ -213,6 +213,7 @@ def test_a_robot_of_a_known_name_is_refused(few: Path, tmp_path: Path) -> None:
     assert set(ids) <= set(check.planned)
 
 
+@pytest.mark.long
 def test_rows_of_a_modified_package_are_found_and_it_is_not_imported(
     few: Path, tmp_path: Path
 ) -> None:
@@ -234,6 +235,7 @@ def test_rows_of_a_modified_package_are_found_and_it_is_not_imported(
     assert not (tmp_path / "ran").exists()
 
 
+@pytest.mark.long
 def test_rows_of_a_better_seed_are_found(few: Path, tmp_path: Path) -> None:
     other = run_of(tmp_path, FEW, seed=4)
     folder = with_rows_of(copied(few, tmp_path / "submitted"), other)
@@ -288,6 +290,7 @@ def test_a_hidden_plug_in_is_refused_and_not_run(few: Path, tmp_path: Path) -> N
 HIDDEN = 'Own = Metric("own", "Own", compute=lambda cell: 0.0)\n'
 
 
+@pytest.mark.long
 def test_sealed_cells_need_their_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     secret, seeds = "0123456789abcdef" * 4, tmp_path / "seeds.txt"
     seeds.write_text(secret)

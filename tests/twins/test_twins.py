@@ -117,7 +117,9 @@ def check_kept(name: str, planted: tuple[str, ...]) -> None:
     assert np.median(others) < 0.15, found.summary()
 
 
-@pytest.mark.parametrize("planted", [(), ("torque-drift",)], ids=str)
+@pytest.mark.parametrize(
+    "planted", [(), pytest.param(("torque-drift",), marks=pytest.mark.long)], ids=str
+)
 def test_effects_are_kept_where_they_are(planted: tuple[str, ...]) -> None:
     check_kept("scara", planted)
 
