@@ -18,6 +18,7 @@ from sysid_bench import init_log
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.signals.log_description import read_description
+from sysid_bench.signals.log_guess import GAINS_OF_FILE
 from sysid_bench.signals.log_samples import Samples, read_samples
 
 GAIN, GAINS, TORQUE = "currents, or torques of motors", "write kp and kd", "without torques"
@@ -85,8 +86,8 @@ GAIN_ERROR: Final = 0.05
 
 
 def verdict(files: str, target: Path) -> str:
-    """Write the description to `target`; return right, "refused: " with the reason, or "wrong: "
-    with the differences."""
+    """Write the description to `target`; return right, "refused: " or "started: " with the
+    reason, or "wrong: " with the differences."""
     motion, lacks = RECORDINGS[files]
     name, _, motion = motion.partition("/")
     source = f"dataset:{name}"
@@ -95,6 +96,8 @@ def verdict(files: str, target: Path) -> str:
     if result.next.startswith("complete tau"):
         doubt = result.doubts[0]
         return f"refused: {lacks}" if lacks and lacks in doubt else f"wrong: refused, {doubt}"
+    if lacks and any(GAINS_OF_FILE in doubt for doubt in result.doubts):
+        return f"started: {lacks}; those of the model file stand there as a start"
     robot = load_robot(find_manifest(source))
     got = read_description(target)
     samples = read_samples(got, robot)
@@ -135,8 +138,10 @@ def main() -> None:
         also = f" and {len(more)} more" if more else ""
         print(f"| {first}{also} | {motion} | {found[-1]} |", flush=True)
     words = [text.partition(":")[0] for text in found]
-    print(f"\n{len(found)} recordings: {words.count('right')} right, "
-          f"{words.count('refused')} refused, {words.count('wrong')} wrong")  # fmt: skip
+    counts = ", ".join(
+        f"{words.count(word)} {word}" for word in ("right", "refused", "started", "wrong")
+    )
+    print(f"\n{len(found)} recordings: {counts}")
 
 
 if __name__ == "__main__":
