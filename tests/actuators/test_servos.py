@@ -104,7 +104,7 @@ PAIRS = list(combinations(MOTIONS, 2))
     [
         (998.22, ["gain"], [("friction_gravity", "backlash_detection")]),
         pytest.param(998.22, ["gain"], PAIRS, marks=pytest.mark.long),
-        pytest.param(17.8, [], PAIRS, marks=pytest.mark.long),
+        pytest.param(17.8, [], PAIRS, marks=pytest.mark.tutorial),
     ],
 )
 def test_a_public_servo_arm(
