@@ -12,6 +12,7 @@ import numpy as np
 from sysid_bench.errors import ModelError
 from sysid_bench.input_files import is_file
 from sysid_bench.models.joint_terms import linear_polynomial
+from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.mjcf_files import check_files
 from sysid_bench.models.mjcf_inertia import compiled_inertia, principal_inertias
 from sysid_bench.models.model_checks import compile_spec
@@ -291,13 +292,15 @@ class StatedActuator(NamedTuple):
     limit: float
 
 
-def stated_actuators(path: Path) -> dict[str, StatedActuator]:
-    """Return the actuators that an MJCF states, by joint: the first one of each.
+def stated_actuators(manifest: Manifest) -> dict[str, StatedActuator]:
+    """Return the actuators that the MJCF of a manifest states, by joint: the first one of each.
 
     Robots have none of them: their inputs are torques.
     """
     found: dict[str, StatedActuator] = {}
-    for one in mujoco.MjSpec.from_file(str(path)).actuators:
+    path, text = manifest.path, None if manifest.text is None else manifest.text.encode()
+    # As the robot is read: from a text without a file, and with the same repairs.
+    for one in _read(path, text, manifest.assets or path.parent)[0].actuators:
         if int(one.trntype) not in AT_JOINT or one.target in found:
             continue
         is_motor = int(one.biastype) == int(mujoco.mjtBias.mjBIAS_NONE)

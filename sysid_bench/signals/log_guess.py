@@ -126,7 +126,7 @@ def guess_log(tables: Tables, robot: RobotModel) -> LogGuess:
 
 def _gains_of_file(robot: RobotModel, joints: Sequence[str]) -> dict[str, list[float]]:
     """Return kp and kd of the position actuators of the model file, where each joint has one."""
-    stated = stated_actuators(robot.manifest.path) if robot.format == "mjcf" else {}
+    stated = stated_actuators(robot.manifest) if robot.format == "mjcf" else {}
     if any(name not in stated or stated[name].kp <= 0.0 for name in joints):
         return {}
     return {key: [getattr(stated[name], key) for name in joints] for key in ("kp", "kd")}

@@ -12,6 +12,8 @@ from sysid_bench.apps.actuators.commands.actuators_result import ActuatorsResult
 from sysid_bench.apps.actuators.drive_estimate import repeat_covariance
 from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
 from sysid_bench.apps.actuators.written_model import STEP, JointSettings, settings_text
+from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.mjcf import stated_actuators
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case
 from tests.closeness import assert_close
 
@@ -98,3 +100,24 @@ def test_a_covariance_between_files_is_that_of_numpy() -> None:
     C = repeat_covariance(values, delays)
     expected = np.cov(np.column_stack([values[:, 1], delays]).T)
     assert_close(C[1], expected)
+
+
+def test_a_configuration_has_the_limits_of_the_written_model(tmp_path: Any) -> None:
+    """A limit in stated torque is as wrong as the stated gains, and is corrected with them."""
+    (tmp_path / "leg.xml").write_text(MODEL, encoding="utf-8")
+    found = Case(3, delay=0.004, more=(("gain", 1.15),), disturbance=0.03).commands()
+    pd = {"q_des": "q_des", "kp": "kp", "kd": "kd", "delay": "4 ms", "limit": 40.0}
+    data = {name: getattr(found, name) for name in ("q", "q_des", "kp", "kd")}
+    log = sysid_bench.log_of(data, {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": pd}})
+    result = sysid_bench.identify(
+        *(tmp_path / "leg.xml",), task="actuators", log=log, also=["gain"],
+        model_out=tmp_path / "out.xml",
+    )  # fmt: skip
+    assert isinstance(result, ActuatorsResult)
+    _, made = read(result.configurations["mjlab"])
+    written = stated_actuators(find_manifest(str(tmp_path / "out.xml")))
+    for name, one in zip(JOINTS, made, strict=True):
+        assert one["stiffness"] == pytest.approx(written[name].kp, rel=1e-4)
+        gain = result.joints[name]["gain"]
+        assert gain == pytest.approx(1.15, abs=0.05)
+        assert one["effort_limit"] == pytest.approx(40.0 * gain, rel=1e-4)

@@ -83,6 +83,12 @@ class Group:
         Q, R = np.linalg.qr(self.A)
         return Q, R
 
+    def loss(self, x: Array, b: Array, counts: Array) -> float:
+        """Return twice the loss of log-likelihood of x (c,) for torques b (m n,) whose joints have
+        `counts` (m,) independent samples, and residuals of an unknown scale each."""
+        squares = ((b - self.A @ x).reshape(len(self.joints), -1) ** 2).mean(axis=1)
+        return float(counts @ np.log(np.maximum(squares, 1e-24)))
+
     def prior(self, scale: Array | None) -> tuple[Array, Array, Array]:
         """Return rows P (m, c), p (m,) of the armature's prior with their deviations (m,), those of
         `scale` (k,) of its joints; none without a scale."""
@@ -217,17 +223,13 @@ def _above_least(group: Group, b: Array, A: Array, a: Array, rate: float) -> tup
     low = group.lowest
     if (x >= low)[:SIGNED].all():
         return x, free
-
-    def loss(x: Array, counts: Array) -> float:
-        squares = ((b - group.A @ x).reshape(len(group.joints), -1) ** 2).mean(axis=1)
-        return float(counts @ np.log(np.maximum(squares, 1e-24)))
-
     counts = independent_samples((b - group.A @ x).reshape(len(group.joints), -1).T, rate)
-    least = loss(x, counts)
+    least = group.loss(x, b, counts)
     for share in SHARES:
         moved, inner = solve_bounded(A, a - A @ (share * low), group.nonnegative)
         moved = moved + share * low
-        if loss(moved, counts) - least <= max(likelihood_drop(), 2.0 * MISFIT * counts.sum()):
+        allowed = max(likelihood_drop(), 2.0 * MISFIT * float(counts.sum()))
+        if group.loss(moved, b, counts) - least <= allowed:
             return moved, inner
     return x, free
 

@@ -129,13 +129,13 @@ def identify_drives(
         return _identify(rows, groups, delay, delays)
     # A delay moves the torque of commands, and hardly that of the links, which decides on gains:
     # each is found at the other one, and once more.
-    at = delay or 0.0
-    while True:
-        gains = gain_profiles(rows, groups, at, by_group=bool(shared))
-        found = replace(_identify(rows, with_gains(groups, gains), delay, delays), gains=gains)
-        if at == found.delay or at:
-            return found
-        at = found.delay
+
+    def with_gains_at(start: float) -> DriveEstimate:
+        gains = gain_profiles(rows, groups, start, by_group=bool(shared))
+        return replace(_identify(rows, with_gains(groups, gains), delay, delays), gains=gains)
+
+    first = with_gains_at(delay or 0.0)
+    return first if delay is not None or first.delay == 0.0 else with_gains_at(first.delay)
 
 
 def _identify(

@@ -115,5 +115,4 @@ def _loss(group: Group, tau: Array, counts: Array, inverse: float) -> float:
     Q, R = group.factors
     x, _ = solve_bounded(R, Q.T @ b, group.nonnegative)
     # In units of the stated torque: a fit of torques over the gain would gain by their size alone.
-    squares = ((b - group.A @ x).reshape(len(group.joints), -1) ** 2).mean(axis=1)
-    return float(counts[list(group.joints)] @ np.log(np.maximum(squares, 1e-24)))
+    return group.loss(x, b, counts[list(group.joints)])

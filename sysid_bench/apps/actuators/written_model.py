@@ -85,7 +85,7 @@ def torque_limits(robot: RobotModel, commands: Commands) -> Array:
     limits = np.where(np.isfinite(commands.limit), commands.limit, robot.limits.tau[dofs])
     if robot.format != "mjcf" or np.isfinite(limits).all():
         return limits
-    stated = stated_actuators(robot.manifest.path)
+    stated = stated_actuators(robot.manifest)
     of_file = [stated[joint].limit if joint in stated else np.inf for joint in commands.joints]
     return np.where(np.isfinite(limits), limits, of_file)
 

@@ -301,7 +301,7 @@ def _gain(request: CommandsRequest, robot: RobotModel, name: str, joints: Sequen
     """Gains (k,) of a request, else those of the model's position actuators."""
     if name in request.gains:
         return _numbers(f"The gain {name}", request.gains[name], len(joints))
-    stated = stated_actuators(robot.manifest.path) if robot.format == "mjcf" else {}
+    stated = stated_actuators(robot.manifest) if robot.format == "mjcf" else {}
     by_joint = {joint: getattr(one, name) for joint, one in stated.items() if one.kp > 0.0}
     if not set(joints) <= set(by_joint):
         raise UsageError(

@@ -127,7 +127,7 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
     # At the bias of all files: their values then differ by the recordings alone.
     singles = single_rows(found.rows.bias) if len(parts) > 1 else []
     result = replace(result, **file_fields(singles, request.share, delay, result.joints))
-    result = replace(result, configurations=_configurations(result, judged[0]))
+    result = replace(result, configurations=_configurations(result, found, judged[0]))
     return result if model_out is None else _with_model(result, model_out, found, judged[0])
 
 
@@ -287,17 +287,19 @@ def _fields(parts: Sequence[DrivePart], judged: _DriveErrors) -> dict[str, Any]:
     }
 
 
-def _configurations(result: ActuatorsResult, part: DrivePart) -> dict[str, str]:
-    """Configurations of simulators for the gains of the last sample; none of a measured torque."""
-    commands = part.log.commands
-    if commands is None:
+def _configurations(
+    result: ActuatorsResult, found: DriveEstimate, part: DrivePart
+) -> dict[str, str]:
+    """Configurations of simulators for the gains and limits that act on the last sample, as in a
+    written model; none of a measured torque."""
+    if part.log.commands is None:
         return {}
-    commands = commands.of(result.rows)
+    commands = found.drives.apply(part.log.commands.of(result.rows))
     limits, kinds = torque_limits(part.robot, commands), scalar_kinds(part.robot)
     settings = {
         name: JointSettings(
-            kp=joint.get("gain", 1.0) * float(commands.kp[-1, j]),
-            kd=joint.get("gain", 1.0) * float(commands.kd[-1, j]),
+            kp=float(commands.kp[-1, j]),
+            kd=float(commands.kd[-1, j]),
             limit=float(limits[j]),
             armature=joint["Ia"],
             damping=joint["fv"],
