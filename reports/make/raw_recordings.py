@@ -1,4 +1,4 @@
-"""What `init log` makes of raw public recordings: right without an edit, refused, or wrong?
+"""Verdicts on `init log` of raw public recordings: right without an edit, refused, or wrong.
 
     SYSID_BENCH_DATA=... python -m reports.make.raw_recordings
 

@@ -107,7 +107,7 @@ class Candidate:
     unknowns: float | None = None
     choices: int = 1
     along: tuple[float, float, Callable[[float], Hypothesis]] | None = None
-    doubt: str = ""  # the edit of a candidate that is no more than a doubt
+    doubt: str = ""  # the edit where the candidate is only a doubt
     ahead: float = 0.0  # evidence of a load, or of a mistake behind one, that shows after it alone
     is_gross: bool = False  # all torques wrong by more than any model file, whatever the cost
 

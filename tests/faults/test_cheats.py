@@ -47,7 +47,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="namespaces are 
 
 @pytest.fixture
 def port(tmp_path: Path) -> Iterator[int]:
-    """What cheats would reach: a port, a socket in a file, shared memory and a terminal."""
+    """Resources of others: a port, a socket in a file, shared memory and a terminal."""
     shared = SharedMemory(create=True, size=8)
     terminal = os.openpty()
     with (

@@ -252,7 +252,7 @@ def test_equal_answers_count_once_and_are_named() -> None:
 
 def drawn(seed: int, metric: str) -> pd.DataFrame:
     """Cells of four methods on nine robots, in which all that can be is: failures, no value, no
-    row, no convergence, errors at the floor and just above it, exact data and told truth."""
+    row, no convergence, errors at the floor and just above it, exact data and a stated truth."""
     rng, rows, floor = np.random.default_rng(seed), [], METRICS[metric].floor
     for robot, repeat in product(range(9), range(4)):
         case = {

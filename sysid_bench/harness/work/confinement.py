@@ -28,7 +28,7 @@ _INHERITED: Final = (
     "LD_LIBRARY_PATH", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
     "SYSID_BENCH_KERNEL", MARK,
 )  # fmt: skip
-"""What a method inherits of the environment: no file of seeds, no token of the user."""
+"""Variables of the environment that a method inherits: no file of seeds, no token of the user."""
 
 _NEW_MOUNTS, _NEW_IPC, _NEW_USER = 0x00020000, 0x08000000, 0x10000000
 _NEW_PROCESSES, _NEW_NETWORK = 0x20000000, 0x40000000

@@ -415,7 +415,7 @@ def _beside_methods(run: "RunFolder", suite: "Suite") -> dict[str, list[str]]:
     cells = [name for name, code in parts if code["data"] or code["metrics"]]
     named = third_party_names(suite, suite.robots_folder)
     names = ", ".join(f"{kind} {name}" for kind, name in named if kind != "estimator")
-    return {f"code of others that is no method and would see the truth ({names})": cells}
+    return {f"third-party code other than methods, which would see the truth ({names})": cells}
 
 
 def _not_of_the_suite(run: "RunFolder", suite: "Suite") -> list[str]:
