@@ -80,10 +80,7 @@ def select_kernel() -> KernelSelection:
     try:
         # The library for the wanted instruction set, or for the fastest of this machine.
         dll = c_library(SOURCE, "libregressor", "kernel_source")
-        names = {
-            level: suffix for level, suffix in LEVELS.items() if hasattr(dll, f"work_{suffix}")
-        }
-        usable = [level for level, suffix in names.items() if dll.kernel_runs(suffix.encode())]
+        usable = usable_levels(dll)
         if wanted in LEVELS and wanted not in usable:
             raise OSError(f"{wanted} is not supported by this machine; it has {', '.join(usable)}")
         return KernelSelection(Library(dll, wanted if wanted in LEVELS else usable[0]))
