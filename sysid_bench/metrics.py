@@ -66,6 +66,8 @@ _ACCURACY: Final = (
            "lower", needs=("held-out",), formula="armature and friction of the model file"),
     Metric("rollout_error_command", "Error of the commanded positions", "rad|m", "lower",
            needs=("held-out",), formula="RMS of commanded minus recorded positions"),
+    Metric("rollout_error_floor", "Difference of positions under repeated commands", "rad|m",
+           "lower", needs=("held-out",), formula="RMS over the motion that the training repeats"),
     _error("parameter_error", "Relative parameter error in torque",
            "sqrt(d' W'W d) / |W beta*|, d = beta - beta*, W of the held-out rows: the error of the "
            "parameters as the torque that it amounts to", truth=True),

@@ -9,9 +9,9 @@ import ctypes
 import threading
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -118,18 +118,38 @@ class Library:
         q, v, a = (_contiguous(x) for x in (motion.q, motion.v, motion.a))
         span = _Motion(len(motion), *(x.ctypes.data for x in (q, v, a)))
         tree, plan = ctypes.byref(layout.tree), ctypes.byref(layout.plan)
-        sizes = (ctypes.c_int64(layout.size), ctypes.c_int64(width))
-        size = self._function("work", ctypes.c_int64)(tree, *sizes)
+        few = len(motion) <= self._lanes
+        size = self._function("work", few)(tree, layout.size, width)
         arguments = [_argument(x) for x in (*args, _workspace(size))]
-        function = self._function(name, None)
+        function = self._function(name, few)
         start = time.thread_time()
         function(tree, plan, ctypes.byref(span), *arguments)
         count_kernel(start)
 
-    def _function(self, name: str, result: Any) -> Any:
-        function = getattr(self.dll, f"{name}_{LEVELS[self.level]}")
-        function.restype = result
+    @cached_property
+    def _lanes(self) -> int:
+        return int(self._function("lanes", False)())
+
+    def _function(self, name: str, few: bool) -> Any:
+        """Function of the library, as compiled for few samples or for blocks."""
+        function = getattr(self.dll, f"{name}_{LEVELS[self.level]}{'_few' if few else ''}")
+        if name == "work":
+            function.argtypes = (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
+        function.restype = ctypes.c_int64 if name in ("work", "lanes") else None
         return function
+
+    def bound(self, layout: KernelLayout, motion: Trajectory, out: Array) -> Callable[[], None]:
+        """Return `dense` with its arguments bound once, for contiguous arrays that the caller keeps
+        and changes in place."""
+        span = _Motion(len(motion), *(x.ctypes.data for x in (motion.q, motion.v, motion.a)))
+        tree, plan = ctypes.byref(layout.tree), ctypes.byref(layout.plan)
+        few = len(motion) <= self._lanes
+        work = np.empty(self._function("work", few)(tree, layout.size, out.shape[2]), np.uint8)
+        arguments = (tree, plan, ctypes.byref(span), *map(_argument, (layout.runs, out, work)))
+        run = partial(self._function("dense", few), *arguments)
+        # Addresses keep nothing alive.
+        run.owned = (layout, motion, out, work)  # type: ignore[attr-defined]
+        return run
 
 
 _WORKSPACES: Final = threading.local()

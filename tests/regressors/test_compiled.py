@@ -115,6 +115,26 @@ def test_a_sample_does_not_know_its_place(count: int, level: str) -> None:
     )
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_bound_sample_is_that_of_the_block(seed: int, kernel_name: str) -> None:
+    """One sample a call, arguments bound once: the same bits, in the same memory."""
+    robot = random_robot(seed, 12)
+    ours, motion = regression(robot, every_column(robot)), states(robot, 70, seed)
+    whole, sample = ours.dense(motion).Y, ours.sample()
+    other = ours.sample()
+    first = sample(motion.q[0], motion.v[0], motion.a[0])
+    for k in (0, 69, 33, 33):
+        at = sample(motion.q[k], motion.v[k].tolist(), motion.a[k])
+        other(motion.q[1], motion.v[1], motion.a[1])
+        if kernel_name == "numpy":  # whose sums depend on the number of samples
+            assert relative_gap(at, whole[k]) <= SAME
+        else:
+            np.testing.assert_array_equal(at, whole[k])
+        assert np.shares_memory(at, first)
+    with pytest.raises(ValueError, match="broadcast"):
+        sample(motion.q[0][:-1], motion.v[0], motion.a[0])
+
+
 def test_large_outputs_take_another_way_out_to_the_same_values(level: str) -> None:
     robot = named_robot("ur5")
     ours = regression(robot, robot.inertial_columns)
