@@ -44,6 +44,10 @@ def kernel_times() -> float:
 
 SOURCE: Final = Path(__file__).with_name("kernel.c")
 
+FEW: Final = 32
+"""Most samples for which the functions compiled for few samples are the faster ones (measured on
+each instruction set)."""
+
 
 @dataclass(frozen=True)
 class KernelSelection:
@@ -118,35 +122,37 @@ class Library:
         q, v, a = (_contiguous(x) for x in (motion.q, motion.v, motion.a))
         span = _Motion(len(motion), *(x.ctypes.data for x in (q, v, a)))
         tree, plan = ctypes.byref(layout.tree), ctypes.byref(layout.plan)
-        few = len(motion) <= self._lanes
-        size = self._function("work", few)(tree, layout.size, width)
+        # The sums of a fold are those of whole blocks, however few samples there are.
+        few = len(motion) <= FEW and name != "fold"
+        size = self._functions["work", few](tree, layout.size, width)
         arguments = [_argument(x) for x in (*args, _workspace(size))]
-        function = self._function(name, few)
+        function = self._functions[name, few]
         start = time.thread_time()
         function(tree, plan, ctypes.byref(span), *arguments)
         count_kernel(start)
 
     @cached_property
-    def _lanes(self) -> int:
-        return int(self._function("lanes", False)())
-
-    def _function(self, name: str, few: bool) -> Any:
-        """Function of the library, as compiled for few samples or for blocks."""
-        function = getattr(self.dll, f"{name}_{LEVELS[self.level]}{'_few' if few else ''}")
-        if name == "work":
-            function.argtypes = (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
-        function.restype = ctypes.c_int64 if name in ("work", "lanes") else None
-        return function
+    def _functions(self) -> dict[tuple[str, bool], Any]:
+        """Functions of the library by name, as compiled for few samples and for blocks."""
+        found, pointer, number = {}, ctypes.c_void_p, ctypes.c_int64
+        for few in (False, True):
+            suffix = LEVELS[self.level] + few * "_few"
+            for name in ("rows", "dense", "fold", "torque", "work"):
+                function = getattr(self.dll, f"{name}_{suffix}")
+                function.restype = number if name == "work" else None
+                found[name, few] = function
+            found["work", few].argtypes = (pointer, number, number)
+        return found
 
     def bound(self, layout: KernelLayout, motion: Trajectory, out: Array) -> Callable[[], None]:
         """Return `dense` with its arguments bound once, for contiguous arrays that the caller keeps
         and changes in place."""
         span = _Motion(len(motion), *(x.ctypes.data for x in (motion.q, motion.v, motion.a)))
         tree, plan = ctypes.byref(layout.tree), ctypes.byref(layout.plan)
-        few = len(motion) <= self._lanes
-        work = np.empty(self._function("work", few)(tree, layout.size, out.shape[2]), np.uint8)
+        few = len(motion) <= FEW
+        work = np.empty(self._functions["work", few](tree, layout.size, out.shape[2]), np.uint8)
         arguments = (tree, plan, ctypes.byref(span), *map(_argument, (layout.runs, out, work)))
-        run = partial(self._function("dense", few), *arguments)
+        run = partial(self._functions["dense", few], *arguments)
         # Addresses keep nothing alive.
         run.owned = (layout, motion, out, work)  # type: ignore[attr-defined]
         return run
