@@ -6,7 +6,6 @@ used. If the library is missing, was compiled from another source or is switched
 """
 
 import ctypes
-import os
 import threading
 import time
 import weakref
@@ -18,8 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
-from sysid_bench.package_folders import c_library
+from sysid_bench.instruction_sets import LEVELS, levelled_library
 from sysid_bench.regressors.kernel_layout import Columns, KernelLayout, columns_layout
 from sysid_bench.types import Array, Trajectory
 
@@ -44,14 +42,6 @@ def kernel_times() -> float:
     return _SPENT.seconds
 
 
-VARIABLE: Final = "SYSID_BENCH_KERNEL"
-"""Environment variable that selects the kernel: `numpy`, `compiled` or one of `LEVELS`; unset, the
-fastest is used."""
-
-LEVELS: Final = {"x86-64-v4": "v4", "x86-64-v3": "v3", "baseline": "base"}
-"""Instruction sets, fastest first, with the suffix of the functions compiled for them: AVX-512,
-AVX2 with FMA, and the baseline of the architecture."""
-
 SOURCE: Final = Path(__file__).with_name("kernel.c")
 
 FEW: Final = 32
@@ -75,27 +65,11 @@ class KernelSelection:
 @cache
 def select_kernel() -> KernelSelection:
     """Return the kernel of this process; raises UsageError for an invalid environment variable."""
-    wanted = os.environ.get(VARIABLE, "")
-    if wanted not in ("", "numpy", "compiled", *LEVELS):
-        known = ", ".join(("numpy", "compiled", *LEVELS))
-        raise UsageError(f"{VARIABLE} is {wanted!r}; unset it, or use one of {known}.")
-    if wanted == "numpy":
-        return KernelSelection(None, f"selected by {VARIABLE}")
     try:
-        # The library for the wanted instruction set, or for the fastest of this machine.
-        dll = c_library(SOURCE, "libregressor", "kernel_source")
-        usable = usable_levels(dll)
-        if wanted in LEVELS and wanted not in usable:
-            raise OSError(f"{wanted} is not supported by this machine; it has {', '.join(usable)}")
-        return KernelSelection(Library(dll, wanted if wanted in LEVELS else usable[0]))
+        library = levelled_library(SOURCE, "libregressor", "kernel_source")
+        return KernelSelection(Library(*library))
     except OSError as error:
         return KernelSelection(None, str(error))
-
-
-def usable_levels(dll: Any) -> list[str]:
-    """Return the instruction sets that the library and this processor have, fastest first."""
-    compiled = {name: suffix for name, suffix in LEVELS.items() if hasattr(dll, f"work_{suffix}")}
-    return [name for name, suffix in compiled.items() if dll.kernel_runs(suffix.encode())]
 
 
 class _Motion(ctypes.Structure):
