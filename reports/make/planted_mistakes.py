@@ -135,8 +135,10 @@ class Bench:
             return Case(*start, np.inf, found, is_named, True, (), text, mistake.is_harmless)
         tests = tuple(replace(test, robot=robot) for test in self.tests)
         raised = plain_error(faulty, tests) - self.error
-        known = {(f.name, f.joints) for f in self.findings}
-        new = [f for f in _doubts(diagnose(faulty), self.loaded) if (f.name, f.joints) not in known]
+        # An error is new where the recording without the mistake has a warning.
+        known = {(f.name, f.joints): f.is_error for f in self.findings}
+        doubts = _doubts(diagnose(faulty), self.loaded)
+        new = [f for f in doubts if known.get((f.name, f.joints), -1) < f.is_error]
         # No gain is right for the model of another robot, and none is absurd.
         cure = _right_gains(one.training.tau, planted.tau) if mistake.robot is None else None
         likely = _as_likely(new[0]) if new else []
