@@ -45,6 +45,7 @@ HARMFUL: Final = 0.3
 """Raise of the error from which a mistake must not stay silent."""
 ABSURD: Final = 3.0
 """Factor of a gain in a cure, over the one that is right, beyond which it is absurd."""
+UNDECIDED: Final = "undecided"
 LOAD: Final = "load"
 """The finding of a tool, which is right where one was mounted."""
 
@@ -154,10 +155,12 @@ class Bench:
 
 
 def _doubts(findings: Sequence[Finding], loaded: bool) -> list[Finding]:
-    """Findings but notes, and but the tool that is there, unless something else is as likely."""
+    """Findings but notes, those that nothing is decided, and but the tool that is there, unless
+    something else is as likely."""
     return [
         f for f in findings
-        if f.severity != NOTE and not (loaded and f.name == LOAD and not f.as_likely)
+        if f.severity != NOTE and f.name != UNDECIDED
+        and not (loaded and f.name == LOAD and not f.as_likely)
     ]  # fmt: skip
 
 

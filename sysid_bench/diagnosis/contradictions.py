@@ -15,7 +15,7 @@ from sysid_bench.diagnosis import motion_candidates as of_motion
 from sysid_bench.diagnosis import torque_candidates as of_torque
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
-from sysid_bench.diagnosis.gain_candidates import joint_gains
+from sysid_bench.diagnosis.gain_candidates import drive_currents, joint_gains, torque_scale
 from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis, first_hypothesis
 from sysid_bench.diagnosis.model_candidates import (
     LINK,
@@ -31,7 +31,7 @@ Search = Callable[[Hypothesis], Iterator[Candidate]]
 SEARCHES: Final[Sequence[Search]] = (
     of_motion.sampling_rate, of_torque.torque_direction, of_torque.torque_magnitude,
     of_torque.torque_columns,
-    of_torque.tool_load, of_torque.torque_gain, joint_gains, gravity_direction,
+    of_torque.tool_load, of_torque.torque_gain, joint_gains, drive_currents, gravity_direction,
     of_motion.encoder_offset,
     of_motion.joint_columns, of_motion.joint_direction, of_motion.position_unit,
 )  # fmt: skip
@@ -66,8 +66,8 @@ EXPLAINED: Final = 0.75
 FOREIGN: Final = 0.15
 FITTING: Final = 0.35
 """Explained share and cost: the library is not searched for another robot where a candidate
-explains more, or where the cost is lower. Another robot explains at least the last share: of many
-robots one fits better by chance."""
+explains more, or where the cost is lower. One that explains less than the last share is a doubt: of
+many robots one fits better by chance."""
 
 ROUNDS: Final = 3
 """Mistakes that are looked for one after another."""
@@ -93,9 +93,10 @@ def contradictions(evidence: DiagnoseInput) -> list[Finding]:
         found = [replace(one, edit=unsure[k] or one.edit) for k, one in enumerate(found)]
     # A mistake that is found again once it is corrected has no number that anybody should apply.
     times = Counter((one.name, one.joints) for one in found)
-    return [
+    found = [
         replace(one, severity=WARNING) if times[one.name, one.joints] > 1 else one for one in found
     ]
+    return [*found, *torque_scale(evidence, found)]
 
 
 def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
@@ -109,9 +110,13 @@ def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
     candidates = _sorted(current, tried)
     if rough and not (candidates and candidates[0].share(current) >= EXPLAINED):
         candidates = _sorted(current, _hidden_by_load(current, tried))
-    if candidates and candidates[0].share(current) < EXPLAINED and current.fit.cost > FOREIGN:
-        foreign = [one for one in _ranked(current, [other_robot]) if one.share(current) >= FITTING]
-        candidates = _sorted(current, [*candidates, *foreign])
+    is_explained = bool(candidates) and candidates[0].share(current) >= EXPLAINED
+    if current.fit.cost > FOREIGN and not is_explained:
+        robots = [
+            one if one.share(current) >= FITTING else replace(one, most=WARNING)
+            for one in _tried(current, [other_robot])
+        ]
+        candidates = _sorted(current, [*candidates, *robots])
     if not candidates or candidates[0].evidence(current) < DOUBTFUL:
         return []
     candidates = _sorted(current, [*candidates, *_ranked(current, [link_inertia])])

@@ -36,6 +36,8 @@ EXCHANGED: Final = 0.5
 
 FACTORS: Final = np.logspace(-4, 4, 9)
 """Gains tried: one to a decade; the best one is refined by steps that are halved."""
+GAINS: Final = (5.0, 10.0, 20.0, 50.0)
+"""N m per A of common geared drives."""
 HALVED: Final = 7
 LIKELY: Final = 1.25
 """A gain of one joint that may be as small lies within the spread of masses."""
@@ -262,13 +264,30 @@ def open_gains(evidence: DiagnoseInput) -> Iterator[Finding]:
             low = possible.min() if possible.min() > FACTORS[0] else 0.0
             names.append(evidence.joints[j])
             listed.append(f"{names[-1]} {low:.3g} to {possible.max():.3g}")
-    if names:
+    if _is_scale_open(before):
+        yield Finding(
+            "undecided", WARNING,
+            "the recording does not tell torques in N m from currents in A or torques of motors: "
+            "all of them times 5 or more fit the model as well",
+            evidence.joints, blind="motions whose torque is mostly friction",
+            edit='tau = { unit = "N m" } where that is sure, else gain or ratio = [...]',
+        )  # fmt: skip
+    elif names:
         yield Finding(
             "undecided", NOTE,
             "the recording does not decide the gain of joints whose torque is mostly friction "
             f"(times the stated one: {', '.join(listed)}): the stated one is accepted",
             tuple(names), edit="compare with the data sheet of the drive",
         )  # fmt: skip
+
+
+def _is_scale_open(before: Hypothesis) -> bool:
+    """True where nobody states the unit of the torques, and gains of drives fit them as well."""
+    tau, one = before.evidence.log.description.tau, np.eye(before.evidence.count)
+    if tau.unit is not None or tau.pd is not None or before.evidence.placeholder:
+        return False
+    scores = [before.with_torque(one * gain).fit.score for gain in GAINS]
+    return min(scores) < before.fit.score + NORMAL**2
 
 
 def _cause(size: float, half: float) -> str:
