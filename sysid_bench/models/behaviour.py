@@ -189,12 +189,13 @@ def _size(numbers: Sequence[float] | Array) -> float:
 def _rounded(numbers: Sequence[float] | Array, kind: Sequence[float] | Array) -> Values:
     """Return numbers with nine digits of the greatest of them, zeros where all are rounding beside
     the largest of their `kind`; infinities as texts. Processors differ in the last bits only."""
-    size = _size(numbers)
-    are_zero = size <= _NOISE * _size(kind)
-    step = 1.0 if are_zero else 10.0 ** (np.floor(np.log10(size)) + 1 - _DIGITS)
+    values, size = np.asarray(numbers, dtype=float), _size(numbers)
+    if size <= _NOISE * _size(kind):
+        rounded = np.where(np.isfinite(values), 0.0, values)
+    else:
+        step = 10.0 ** (np.floor(np.log10(size)) + 1 - _DIGITS)
+        rounded = np.round(values / step) * step
     return [
-        float(f"{0.0 if are_zero else round(x / step) * step:.{_DIGITS}g}") + 0.0  # no -0
-        if np.isfinite(x)
-        else str(float(x))
-        for x in np.asarray(numbers, dtype=float).tolist()
+        float(f"{x:.{_DIGITS}g}") + 0.0 if np.isfinite(x) else str(x)  # no -0
+        for x in rounded.tolist()
     ]

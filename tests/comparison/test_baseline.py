@@ -378,6 +378,12 @@ def test_a_model_that_is_not_lists_of_values_is_refused(model: object) -> None:
         from_text(json.dumps(values), "b.json")
 
 
+@pytest.mark.parametrize("name", ["smoke", "terminal"])
+def test_a_kept_baseline_is_read_and_written_as_it_is(name: str) -> None:
+    file = Path(__file__).parents[1] / "baselines" / f"{name}.json"
+    assert to_text(from_text(file.read_text(), file.name)) == file.read_text()
+
+
 def test_a_robot_without_a_cell_is_no_reason_to_refuse_a_file() -> None:
     values = json.loads(to_text(baseline_of(KEPT)))
     values["robots"]["other"] = {"parameters": {}, "cells": {}}

@@ -530,9 +530,12 @@ def test_a_robot_of_any_size_has_nine_digits(seed: int) -> None:
 @pytest.mark.parametrize("name", ROBOTS[:6])
 def test_numbers_of_a_list_are_multiples_of_one_step(name: str, made: Made) -> None:
     """The ninth digit of the largest: what is smaller has the rounding errors of that."""
-    _, behaviour = made(name)
+    robot, behaviour = made(name)
+    joints = load_robot(find_manifest(str(robot.folder))).joints
+    assert behaviour[""]["order of joints"] == [joint.name for joint in joints]
     for joint, quantities in behaviour.items():
         for quantity, values in quantities.items():
+            assert "-0.0" not in map(str, values)
             numbers = [Decimal(repr(x)) for x in values if isinstance(x, float)]
             if largest := max(map(abs, numbers), default=Decimal()):
                 step = Decimal(1).scaleb(largest.adjusted() - 8)
