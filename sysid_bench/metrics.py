@@ -119,6 +119,7 @@ _DATA: Final = (
     Metric("standstill", "Share of rows left out at standstill"),
     Metric("plant_step", "Step of the plant", "s"),
     Metric("candidate_step", "Step of candidate models", "s"),
+    Metric("candidate_simulator", "What simulates candidate models"),
     Metric("same_simulator", "Plant and candidate models with one step and integrator"),
     Metric("q_margin", "Share of the position limits left", better="higher",
            formula="smallest over all motions and joints; negative beyond a limit"),
