@@ -167,9 +167,9 @@ def read_baseline(file: str | Path) -> "Baseline":
     try:
         return from_text(read_text(Path(file)), str(file))
     except (OSError, UnicodeDecodeError) as error:
-        why = "it is not a text" if isinstance(error, UnicodeDecodeError) else error.strerror
+        reason = getattr(error, "strerror", None) or error
         raise UsageError(
-            f"The baseline {str(file)!r} cannot be read ({why or error}); write one with "
+            f"The baseline {str(file)!r} cannot be read ({reason}); write one with "
             "'sysid-bench baseline save RUN -o FILE'."
         ) from error
 

@@ -147,8 +147,9 @@ class Identify(Request["IdentifyResult"]):
     )  # fmt: skip
     also: Sequence[str] = option(
         "Logs, task actuators: further unknowns. Torque over that of the stated gains, "
-        "position less that of the encoder, friction over the torque of the links.",
-        default=(), metavar="gain,bias,load", parse=parse_names, when=DRIVES,
+        "position less that of the encoder, friction over the torque of the links; limits of the "
+        "servo (torque, speed, dead band), each kept where it helps on data it was not chosen by.",
+        default=(), metavar="gain,bias,load,limits", parse=parse_names, when=DRIVES,
     )  # fmt: skip
 
     def run(self) -> "IdentifyResult":

@@ -1,6 +1,6 @@
 """Verb `merge`: runs of one plan, as shards on several machines leave them, joined into one."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,7 +52,8 @@ class MergeResult(Result):
     """Merged run in `folder` (None where nothing is written): its rows, the cells still `open`,
     cells that several runs computed with equal results (`twice`), those of them that are equal up
     to the rounding of other processors (`rounded`), the ids of `contradictions`: cells whose ok
-    rows differ by more, and the places (file:line) of rows that were `changed` after they
+    rows differ by more, in two runs or in one, with `places` (file:line) of these rows by cell, and
+    the places (file:line) of rows that were `changed` after they
     were written."""
 
     folder: str | None
@@ -62,6 +63,7 @@ class MergeResult(Result):
     rounded: int
     contradictions: tuple[str, ...]
     changed: tuple[str, ...]
+    places: Mapping[str, Sequence[str]]
     exit_code: int
 
     def summary(self) -> str:
@@ -73,10 +75,11 @@ class MergeResult(Result):
                 "computes these cells alone."
             )
         if self.contradictions:
+            named = [f"{cell} ({', '.join(at)})" for cell, at in self.places.items()]
             return (
-                f"{len(self.contradictions)} cells have different results in these runs: "
-                f"{first_names(self.contradictions, 10)}. Nothing is written; compare them with "
-                "'sysid-bench cell RUN ID'."
+                f"{len(named)} cells have rows with different results: {first_names(named, 10)}. "
+                "Nothing is written; compare them with 'sysid-bench cell RUN ID', and remove the "
+                "rows that do not hold."
             )
         counts = f"{self.rows} rows, {self.open} open, {self.twice} computed twice and equal"
         if self.rounded:

@@ -3,7 +3,7 @@
 import shutil
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -23,10 +23,10 @@ _EXCEPT: Final = MACHINE_FIELDS | {"fingerprint", "versions", "sources", "traceb
 
 @dataclass(frozen=True)
 class MergeResult:
-    """Merged run. `contradictions`: cells with different ok rows, and `changed`: places of rows
-    that are not as they were written; nothing is written then. `twice`: cells that several runs
-    computed with equal results, a test of reproducibility; `rounded` of them are equal up to the
-    rounding of other kernels."""
+    """Merged run. `contradictions`: cells with different ok rows, of two runs or in one, and
+    `places` of these rows by cell; `changed`: places of rows that are not as they were written;
+    nothing is written then. `twice`: cells that several runs computed with equal results, a test of
+    reproducibility; `rounded` of them are equal up to the rounding of other kernels."""
 
     folder: RunFolder | None
     rows: int
@@ -35,6 +35,7 @@ class MergeResult:
     rounded: int
     contradictions: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
+    places: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def exit_code(self) -> int:
@@ -52,16 +53,16 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     if (out / "plan.jsonl").exists():
         raise UsageError(f"{str(out)!r} is a run already; choose another -o, or remove it.")
     planned = _same_plan(folders)
-    candidates, changed = _candidates(folders, frozenset(planned))
+    candidates, within, changed = _candidates(folders, frozenset(planned))
     if not mixed:
         _check_same_code(candidates)
-    differing = [cell for cell, rows in candidates.items() if len(_ok(rows, "result")) > 1]
-    contradictions = tuple(cell for cell in differing if not _agree(candidates[cell]))
-    twice = sum(sum(row.status == "ok" for row in rows) > 1 for rows in candidates.values())
-    rounded = len(differing) - len(contradictions)
-    if contradictions or changed:
-        counts = (len(candidates), len(planned), twice - len(contradictions), rounded)
-        return MergeResult(None, *counts, contradictions, changed)
+    contradicting = within | _contradicting(candidates)
+    equal = [rows for cell, rows in candidates.items() if cell not in contradicting]
+    twice = sum(sum(row.status == "ok" for row in rows) > 1 for rows in equal)
+    rounded = sum(len(_ok(rows, "result")) > 1 for rows in equal)
+    if contradicting or changed:
+        counts = (len(candidates), len(planned), twice, rounded)
+        return MergeResult(None, *counts, tuple(contradicting), changed, contradicting)
     folder = folders[0].write_plan(out, _environment(folders))
     with folder.new_writer("merge") as writer:
         for cell in filter(candidates.__contains__, planned):
@@ -75,14 +76,19 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
 
 
 def contradictions(folder: RunFolder) -> list[str]:
-    """Return the cells with several ok rows of one code that are not equal up to rounding: of a
-    method that is not deterministic, or of a file that was added."""
-    found = dict[tuple[str, Any], list[_Candidate]]()
-    for row, place in folder.rows_with_origin():
-        if not isinstance(row, bytes) and row["status"] == "ok":
-            found.setdefault((row["id"], row.get("fingerprint")), []).append(_candidate(row, place))
-    several = {key: rows for key, rows in found.items() if len(_ok(rows, "result")) > 1}
-    return [cell for (cell, _), rows in several.items() if not _agree(rows)]
+    """Return the planned cells with several ok rows of one code that are not equal up to rounding:
+    of a method that is not deterministic, or of a file that was added."""
+    return [*_candidates([folder], frozenset(folder.planned))[1]]
+
+
+def _contradicting(found: "Mapping[str, Sequence[_Candidate]]") -> dict[str, list[str]]:
+    """Return the places of the ok rows of those cells whose ok rows contradict each other."""
+    several = {cell: rows for cell, rows in found.items() if len(_ok(rows, "result")) > 1}
+    return {
+        cell: [f"{row.place.path}:{row.place.line}" for row in rows if row.status == "ok"]
+        for cell, rows in several.items()
+        if not _agree(rows)
+    }
 
 
 _KERNELS: Final = 1e-12
@@ -172,24 +178,31 @@ def _candidate(row: Row, place: RowStart) -> _Candidate:
 
 def _candidates(
     folders: Iterable[RunFolder], planned: frozenset[str]
-) -> tuple[dict[str, list[_Candidate]], tuple[str, ...]]:
-    """Return the last rows of each planned cell, in the order of the runs, and the places of
-    changed rows of cells that have no other in their run."""
+) -> tuple[dict[str, list[_Candidate]], dict[str, list[str]], tuple[str, ...]]:
+    """Return the last rows of each planned cell, in the order of the runs; the cells with ok rows
+    of one code in one run that contradict each other; and the places of changed rows of cells that
+    have no other in their run."""
     found: dict[str, list[_Candidate]] = {}
+    within: dict[str, list[str]] = {}
     places: list[str] = []
     for folder in folders:
         last, changed = dict[str, _Candidate](), dict[str, RowStart]()
+        of_code: dict[Any, dict[str, list[_Candidate]]] = {}
         for row, place in folder.rows_with_origin():
             if isinstance(row, bytes):
                 cell = hash_error(row, hashed=folder.has_hashes)
                 if cell is not None and cell in planned:
                     changed[cell] = place
             elif row["id"] in planned:
-                last[row["id"]] = _candidate(row, place)
+                last[row["id"]] = one = _candidate(row, place)
+                if one.status == "ok":
+                    of_code.setdefault(one.fingerprint, {}).setdefault(row["id"], []).append(one)
+        for rows in of_code.values():
+            within |= _contradicting(rows)
         for cell, candidate in last.items():
             found.setdefault(cell, []).append(candidate)
         places += [f"{at.path}:{at.line}" for cell, at in changed.items() if cell not in last]
-    return found, tuple(places)
+    return found, within, tuple(places)
 
 
 def _check_same_code(candidates: Mapping[str, Sequence[_Candidate]]) -> None:

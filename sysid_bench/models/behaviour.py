@@ -49,7 +49,7 @@ def behaviour_of(robot: RobotModel) -> dict[str, dict[str, Values]]:
     for _, quantity, numbers in facts:
         of_kind[quantity] += [*numbers]
     for name, quantity, numbers in facts:
-        found[name][quantity] = _rounded(numbers, _size(of_kind[quantity]))
+        found[name][quantity] = _rounded(numbers, of_kind[quantity])
     found[ROBOT][ORDER] = names[1:]
     for joint in robot.joints:
         found[joint.name]["kind"] = [joint.kind]
@@ -61,19 +61,19 @@ def model_hash(robot: RobotModel, behaviour: Behaviour) -> str:
     follow from the rest, of its bodies and shapes by name, and of what its manifest asks for."""
     mj, manifest = robot.mj, robot.manifest
     bodies = [
-        (name, int(robot.tree.carrier[b]), _rounded(robot.phi[b], float(np.abs(robot.phi).max())),
-         _rounded(robot.tree.X[b].ravel()))
+        (name, int(robot.tree.carrier[b]), _rounded(robot.phi[b], robot.phi.ravel()),
+         _rounded(robot.tree.X[b].ravel(), robot.tree.X[b].ravel()))
         for b, name in enumerate(robot.body_names)
     ]  # fmt: skip
     # Of what can touch: positions and sizes (of meshes those of their box), nothing that is drawn.
     solid = np.flatnonzero(np.asarray(mj.geom_contype) | np.asarray(mj.geom_conaffinity))
     shapes = [
         (int(mj.geom_bodyid[g]), int(mj.geom_type[g]),
-         *(_rounded(part[g]) for part in (mj.geom_pos, mj.geom_size, mj.geom_aabb)))
+         *(_rounded(part[g], part[g]) for part in (mj.geom_pos, mj.geom_size, mj.geom_aabb)))
         for g in solid
     ]  # fmt: skip
-    sites = [(mj.site(s).name, int(mj.site_bodyid[s]), _rounded(mj.site_pos[s]))
-             for s in range(mj.nsite)]  # fmt: skip
+    sites = [(mj.site(s).name, int(mj.site_bodyid[s]), _rounded(place, place))
+             for s, place in enumerate(mj.site_pos)]  # fmt: skip
     asked = [
         manifest.terms, manifest.massless, manifest.independent, dict(manifest.locked),
         [vars(sensor) for sensor in manifest.sensors], manifest.paper and vars(manifest.paper),
@@ -100,10 +100,12 @@ def _robot_facts(robot: RobotModel) -> Iterator[_Fact]:
         [*place, *matrix_of_quaternion(turn).ravel()],
     )
     for e in range(mj.neq if robot.coupling is not None else 0):
-        kind = mujoco.mjtEq(int(mj.eq_type[e])).name.removeprefix("mjEQ_").lower()
-        named, pair = int(mj.eq_objtype[e]), (mj.eq_obj1id[e], mj.eq_obj2id[e])
+        kind = mujoco.mjtEq(int(mj.eq_type[e])).name.removeprefix("mjEQ_")
+        # Of joints and tendons MuJoCo states no type of their ends.
+        named = getattr(mujoco.mjtObj, f"mjOBJ_{kind}", int(mj.eq_objtype[e]))
+        pair = (mj.eq_obj1id[e], mj.eq_obj2id[e])
         ends = [mujoco.mj_id2name(mj, named, int(i)) or "world" for i in pair]
-        yield ROBOT, f"coupling {kind} {' '.join(ends)}", mj.eq_data[e]
+        yield ROBOT, f"coupling {kind.lower()} {' '.join(ends)}", mj.eq_data[e]
 
 
 def _link_facts(robot: RobotModel) -> Iterator[_Fact]:
@@ -184,15 +186,16 @@ def _size(numbers: Sequence[float] | Array) -> float:
     return float(values[np.isfinite(values)].max(initial=0.0))
 
 
-def _rounded(numbers: Sequence[float] | Array, largest: float = 0.0) -> Values:
+def _rounded(numbers: Sequence[float] | Array, kind: Sequence[float] | Array) -> Values:
     """Return numbers with nine digits of the greatest of them, zeros where all are rounding beside
-    the `largest` of their kind; infinities as texts. Processors differ in the last bits only."""
-    size = _size(numbers)
-    are_zero = size <= _NOISE * largest
-    step = 1.0 if are_zero else 10.0 ** (np.floor(np.log10(size)) + 1 - _DIGITS)
+    the largest of their `kind`; infinities as texts. Processors differ in the last bits only."""
+    values, size = np.asarray(numbers, dtype=float), _size(numbers)
+    if size <= _NOISE * _size(kind):
+        rounded = np.where(np.isfinite(values), 0.0, values)
+    else:
+        step = 10.0 ** (np.floor(np.log10(size)) + 1 - _DIGITS)
+        rounded = np.round(values / step) * step
     return [
-        float(f"{0.0 if are_zero else round(x / step) * step:.{_DIGITS}g}") + 0.0  # no -0
-        if np.isfinite(x)
-        else str(float(x))
-        for x in np.asarray(numbers, dtype=float).tolist()
+        float(f"{x:.{_DIGITS}g}") + 0.0 if np.isfinite(x) else str(x)  # no -0
+        for x in rounded.tolist()
     ]

@@ -12,6 +12,7 @@ from scipy.linalg import lapack
 
 from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors.kernel_c import layout_of
+from sysid_bench.regressors.kernel_numpy import blocks, motion_part
 from sysid_bench.regressors.regression import Regression
 from sysid_bench.regressors.sensor_offset import MeasuredRegressor
 from sysid_bench.types import Array, Factor, Trajectory
@@ -96,6 +97,11 @@ def dense_blocks(
     regression: MeasuredRegressor, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> Iterator[tuple[Array, Array]]:
     """Yield (Y (n, rows, p), b (n, rows)) block by block; arguments as for `update_factors`."""
+    if isinstance(regression, Regression) and rows in (None, tuple(range(len(regression.rows)))):
+        # All rows: the kernel writes the dense block itself.
+        for part in blocks(motion):
+            yield regression.dense(motion_part(motion, part)).Y, b[part]
+        return
     chosen = slice(None) if rows is None else list(rows)
     for block in regression.blocks(motion):
         yield block.dense()[:, chosen], b[block.samples][:, chosen]

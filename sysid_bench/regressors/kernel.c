@@ -1,6 +1,7 @@
 /* The tree kernel in C: the same Y as kernel.py, structure of arrays over blocks of samples.
  *
- * No dependency but the C library; compiled once per instruction set (LEVEL), chosen at run time.
+ * No dependency but the C library; compiled per instruction set (LEVEL), for blocks and for few
+ * samples (FEW), chosen at run time.
  * Vectors of GCC and Clang, so that one text serves SSE2, AVX2, AVX-512 and NEON.
  *
  * Every joint is a frame: rotation R to the world, origin o, and w, alpha, d in its own axes, d the
@@ -31,7 +32,6 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-#define BLOCK 64 /* samples at once: a column is 512 bytes, the frames of an arm stay near */
 #define TILE 3072 /* numbers of dense rows that are put together before they leave the caches */
 #define LARGE (16 << 20) /* bytes of output that the caches do not hold */
 #if defined(__AVX512F__)
@@ -40,6 +40,11 @@
 #define LANES 4
 #else
 #define LANES 2
+#endif
+#ifdef FEW /* for calls with few samples, which would else compute a whole block */
+#define BLOCK LANES
+#else
+#define BLOCK 64 /* samples at once: a column is 512 bytes, the frames of an arm stay near */
 #endif
 #define STEPS (BLOCK / LANES)
 
@@ -653,6 +658,17 @@ static void lay_rows(const Runs *runs, int64_t from, int64_t to, const V *x, dou
         }
 }
 
+/* All rows of one sample whose values stand in the first lane at x. */
+static void lay_sample(const Runs *runs, const V *x, double *y)
+{
+    for (int64_t r = 0; r < runs->rows; r++, y += runs->width)
+        for (int64_t i = runs->first[r]; i < runs->first[r + 1]; i++) {
+            const int64_t value = runs->value[i];
+            for (int64_t c = 0; c < runs->length[i]; c++)
+                y[runs->column[i] + c] = value < 0 ? 0 : x[(value + c) * STEPS][0];
+        }
+}
+
 /* A copy past the caches: what is larger than they are would only push out what is needed. */
 static void stream(double *to, const double *from, int64_t count)
 {
@@ -817,6 +833,10 @@ EXPORT void LEVELLED(dense)(const Tree *t, const Plan *plan, const Motion *m, co
             const int64_t many = least(LANES, n - k);
             if (!large && many == LANES) {
                 lay_rows(runs, 0, rows, values + k / LANES, y, size);
+                continue;
+            }
+            if (many == 1) {
+                lay_sample(runs, values + k / LANES, y);
                 continue;
             }
             for (int64_t r = 0; r < rows; r += chunk) {

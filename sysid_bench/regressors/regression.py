@@ -6,7 +6,7 @@ Each row of Y is stored without its structural zeros: joint i feels only the lin
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Final
 
@@ -96,6 +96,17 @@ class Regression(Columns):
                 block.dense(out[block.samples])
         return Regressor(out, self.rows, self.columns)
 
+    def sample(self) -> "SampleRegressor":
+        """Return Y as a function of one sample; each thread needs a function of its own."""
+        nq, nv = self.tree.nq, self.tree.nv
+        motion = Trajectory(np.zeros(1), np.zeros((1, nq)), np.zeros((1, nv)), np.zeros((1, nv)))
+        Y = np.zeros((1, len(self.rows), len(self.columns)))
+        if self.library is None:
+            run: Callable[[], object] = partial(self.dense, motion, Y)
+        else:
+            run = self.library.bound(layout_of(self), motion, Y)
+        return SampleRegressor(motion.q[0], motion.v[0], motion.a[0], Y[0], run)
+
     def torque(self, motion: Trajectory, theta: Array) -> Array:
         """Return Y theta (N, nv)."""
         tau = np.empty((len(motion), len(self.rows)))
@@ -103,6 +114,24 @@ class Regression(Columns):
             for i, touched in enumerate(self.row_columns):
                 tau[block.samples, i] = theta[touched] @ block.row(i)
         return tau
+
+
+@dataclass(frozen=True, eq=False)
+class SampleRegressor:
+    """Y (rows, p) of one sample at a time, for online use: the memory of the last sample q (nq,),
+    v, a (nv,) and its Y, which every call overwrites."""
+
+    q: Array
+    v: Array
+    a: Array
+    Y: Array
+    run: Callable[[], object]
+
+    def __call__(self, q: Array, v: Array, a: Array) -> Array:
+        """Return Y at one sample."""
+        self.q[:], self.v[:], self.a[:] = q, v, a
+        self.run()
+        return self.Y
 
 
 @dataclass(frozen=True, eq=False)

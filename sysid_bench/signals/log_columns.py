@@ -143,8 +143,8 @@ def _check_scale(
     data = (q.values[:rows], tau.values[:rows], t[:rows])
     said = scale_contradiction(*data, robot, known or joints)
     if said and tau.values.min() >= 0:
-        del found["tau"]
-        return (f"{first_names(map(str, tau.columns), 8)}: unexplained: {said}",)
+        found["magnitude"] = found.pop("tau")
+        return (f"{first_names(map(str, tau.columns), 8)}: magnitude: {said}",)
     if said:
         found["tau"] = replace(tau, is_current=True, reason=f"{DOUBT}{said}")
     return ()
@@ -156,6 +156,8 @@ def _explained(found: Mapping[str, Columns], unused: Sequence[str]) -> Iterator[
         named = first_names(map(str, part.columns), 8)
         label = ": ".join(filter(None, (part.file, named)))
         role = {"q": "position", "v": "velocity", "time": "time", "q_des": "command"}.get(signal)
+        if signal == "magnitude":  # its line is that of the check of its scale
+            continue
         role = role or ("current" if part.is_current else "torque")
         also = ", and by its numbers the derivative of the positions"
         is_derivative = {"q"} < found.keys() and signal == "v"

@@ -139,10 +139,11 @@ def _controlled(
     unit = next(entry.value["unit"] for entry in signals if entry.name == "q")
     told = found["q_des"]
     more = {"resample": "previous"} if told.time else {}
+    check = {"magnitude": found["magnitude"].table()} if "magnitude" in found else {}
     command = told.table([unit] if isinstance(unit, str) else unit, **more)
     return _GuessedKey(
         "tau",
-        {"pd": {"q_des": command, **gains, "delay": "profile"}},
+        {"pd": {"q_des": command, **gains, "delay": "profile", **check}},
         f"{DOUBT}no torque was recorded, but commands: the torque of their position controller, "
         "for the task 'actuators'; its gains are those of the file, in N m/rad and N m s/rad",
     )

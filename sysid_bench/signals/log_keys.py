@@ -17,8 +17,9 @@ SIGNALS: Final = ("q", "v", "tau")
 COMMANDED: Final = ("q_ref", "v_ref")
 """Signals of the commanded motion, which are read where a controller is declared."""
 
-TOLD: Final = ("q_des", "v_des", "feedforward", "kp", "kd")
-"""Signals of a position controller, which are read where its torque replaces the measured one."""
+TOLD: Final = ("q_des", "v_des", "feedforward", "kp", "kd", "magnitude")
+"""Signals of a position controller, which are read where its torque replaces the measured one; the
+last one is a check alone."""
 
 BASE: Final = (
     *("orientation", "position", "velocity"),
@@ -133,6 +134,7 @@ class PositionControl(_Table):
     q_des: _Commanded  # commanded positions
     v_des: _Commanded | None = None  # commanded rates
     feedforward: _Commanded | None = None  # commanded torques
+    magnitude: _Commanded | None = None  # sizes of currents or torques without sign: a check
     kp: _Gains  # position gains
     kd: _Gains  # rate gains
     delay: str | float = 0.0
@@ -294,6 +296,8 @@ class LogKeys(_Table):
     """First and last row that are read."""
     share: Annotated[float, BeforeValidator(_fraction), Field(gt=0, le=1)] = 1.0
     """First part of the rows that is read, 0.1 or "10 %"."""
+    serial: str | None = None
+    """Which of several robots of one type was recorded."""
     locked: dict[str, float] = Field(default_factory=dict)
     """Position of joints that did not move, rad or m."""
 

@@ -99,7 +99,8 @@ class Grid:
 class Samples:
     """q, v, tau (N, k) of the recorded coordinates in SI, and the commanded q_ref and v_ref where a
     controller tracks them; `truncated`: lines that broke off. Of a position controller whose torque
-    replaces the measured one: q_des, v_des, feedforward, kp, kd as far as they are recorded.
+    replaces the measured one: q_des, v_des, feedforward, kp, kd as far as they are recorded, and
+    the `magnitude` of currents or torques without sign.
     `wrench` (N, 6 sensors): [n; f] of each force/torque sensor, N m and N. `base`: recorded motion
     of a floating base."""
 
@@ -114,6 +115,7 @@ class Samples:
     feedforward: Array | None = None
     kp: Array | None = None
     kd: Array | None = None
+    magnitude: Array | None = None
     wrench: Array | None = None
     base: RecordedBase | None = None
 
@@ -282,6 +284,8 @@ def _unit_scale(log: LogDescription, name: str, part: Signal, kinds: Sequence[st
     factors = np.asarray(gain * ratio if quantity == "tau" else gain / ratio)
     # Gain and ratio alone describe counts of an encoder or a converter, which have no unit.
     if part.unit is None:
+        return factors
+    if name == "magnitude":  # its factor to a torque is an answer
         return factors
     if quantity not in UNITS:
         raise UsageError(

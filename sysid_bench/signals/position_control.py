@@ -30,7 +30,8 @@ class Commands:
     `limit` (k,). `delay` (s) of the commands, None where it is unknown. `base`: recorded motion of
     a floating base (None: held). `line` (2, k): torque at rest and speed without load of motors,
     between which the largest torque falls (None: no motors are named); `armature` (2, k): that of
-    their tables and its deviation, NaN where there is none."""
+    their tables and its deviation, NaN where there is none; `band` (k,): position error without
+    torque (None: zero). `magnitude` (N, k): sizes of currents or torques, without sign."""
 
     joints: tuple[str, ...]
     rate: float
@@ -46,6 +47,8 @@ class Commands:
     base: RecordedBase | None = None
     line: Array | None = None
     armature: Array | None = None
+    band: Array | None = None
+    magnitude: Array | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -59,6 +62,8 @@ class Commands:
         """Return some of the samples."""
         names = ("q", "q_des", "v_des", "feedforward", "kp", "kd")
         parts = {name: getattr(self, name)[rows] for name in names}
+        if self.magnitude is not None:
+            parts["magnitude"] = self.magnitude[rows]
         base = None if self.base is None else self.base.apply(lambda x: x[rows])
         return replace(self, **parts, v=None if self.v is None else self.v[rows], base=base)
 
@@ -80,7 +85,10 @@ class Commands:
         q_des, v_des, feedforward = (
             mean_of_held(x, shift) for x in (self.q_des, self.v_des, self.feedforward)
         )
-        tau = self.kp * (q_des - self.q) + self.kd * (v_des - self.velocity) + feedforward
+        error = q_des - self.q
+        if self.band is not None:
+            error = error - np.clip(error, -self.band, self.band)
+        tau = self.kp * error + self.kd * (v_des - self.velocity) + feedforward
         return np.asarray(np.clip(tau, *self.torque_limits(self.velocity)))
 
     def torque_limits(self, v: Array) -> tuple[Array, Array]:
@@ -209,6 +217,7 @@ def _commands(log: LogDescription, pd: PositionControl, samples: Samples, rate: 
         kd=_gains(log, pd, samples, "kd"),
         limit=limit,
         delay=_stated_delay(log),
+        magnitude=samples.magnitude,
         **of_table,
     )
 

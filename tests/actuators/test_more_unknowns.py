@@ -8,7 +8,8 @@ import pytest
 
 import sysid_bench
 from sysid_bench.apps.actuators.bounded_fit import holds
-from sysid_bench.apps.actuators.commands.actuators_result import MORE_NAMES, ActuatorsResult
+from sysid_bench.apps.actuators.commands.actuators_result import ActuatorsResult
+from sysid_bench.apps.actuators.commands.servo_result import MORE_NAMES
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_recordings
 from sysid_bench.apps.actuators.drive_rows import DriveRows, drive_rows
 from sysid_bench.apps.actuators.rollout import simulated_positions

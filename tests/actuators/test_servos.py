@@ -9,12 +9,8 @@ import numpy as np
 import pytest
 
 import sysid_bench
-from sysid_bench.apps.actuators.commands.actuators_result import (
-    RATIOS,
-    ActuatorsResult,
-    gain_fields,
-    gain_text,
-)
+from sysid_bench.apps.actuators.commands.actuators_result import ActuatorsResult
+from sysid_bench.apps.actuators.commands.servo_result import RATIOS, gain_fields, gain_text
 from sysid_bench.apps.actuators.drive_estimate import identify_drives
 from sysid_bench.apps.actuators.drive_rows import LEAST, drive_rows, model_values
 from tests.actuators.leg import JOINTS, Case, leg

@@ -1,7 +1,9 @@
 """What follows the regressor: factors row by row against LAPACK on stacked rows, and streams."""
 
 import resource
+import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,11 +11,13 @@ import pytest
 from scipy.linalg import lapack, solve_triangular
 
 from sysid_bench.identifiability.base_map import structural_base
+from sysid_bench.identification.estimators.robust import IRLS, ArGls, Huber
+from sysid_bench.identification.linear.least_squares import scaled_fit
 from sysid_bench.numerics import qr_factor
-from sysid_bench.regressors.block_qr import factors_of_motions, motion_factors
+from sysid_bench.regressors.block_qr import dense_blocks, factors_of_motions, motion_factors
 from sysid_bench.regressors.kernel_c import select_kernel
 from sysid_bench.regressors.regression import Regression, regression
-from sysid_bench.types import Array, Factor, Trajectory
+from sysid_bench.types import Array, Factor, Problem, RowBlock, Trajectory
 from tests.robots import named_robot, states
 
 Compare = Callable[..., dict[str, float]]
@@ -88,6 +92,45 @@ def test_ten_million_samples(benchmark: Any, line: Line) -> None:
     assert error < 1e-11
     line("memory growth over 10 million streamed samples, xarm7", growth, 50, 50, unit="MB")
     line("theta error after 10 million streamed samples, xarm7", error, 1e-11, 1e-11, unit="")
+
+
+@pytest.mark.parametrize("method", [Huber(), IRLS(), ArGls()], ids=lambda m: type(m).__name__)
+def test_robust_fits_of_a_stream(method: Any, line: Line) -> None:
+    """Samples that are made again in every pass: memory stays, time is linear."""
+    arm = Subject("xarm7", 50_000)
+    rng = np.random.default_rng(2)
+    tau = arm.columns.torque(arm.motion, rng.normal(size=arm.base.rank))
+    tau += 0.1 * rng.standard_t(3, size=tau.shape)
+
+    def blocks(times: int) -> Iterator[RowBlock]:
+        for _ in range(times):
+            yield from dense_blocks(arm.columns, arm.motion, tau)
+
+    seconds: dict[int, float] = {}
+    for times in (2, 20):
+        samples = times * len(arm.motion)
+        start = time.process_time()
+        factors = factors_of_motions(arm.columns, [(arm.motion, tau)] * times)
+        problem = Problem(
+            arm.columns.columns, arm.base, arm.robot.rows, factors, (),
+            partial(blocks, times), samples,
+        )  # fmt: skip
+        scaled_fit(problem)
+        wls = time.process_time() - start
+        before, start = peak_memory(), time.process_time()
+        estimate = method.solve(problem)
+        seconds[times] = time.process_time() - start
+        assert estimate.converged
+    growth, name = peak_memory() - before, f"{type(method).__name__}, xarm7"
+    line(f"robust fit / wls with its factors, 1,000,000 samples, {name}", seconds[20] / wls, 10)
+    slower = seconds[20] / seconds[2] / 10
+    line(f"time per sample of a robust fit, 1,000,000 / 100,000 samples, {name}", slower, 1.2)
+    line(f"memory beyond that of wls, 1,000,000 samples, {name}", growth, 50, unit="MB")
+
+
+def peak_memory() -> float:
+    """MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def test_time_per_sample_is_flat(compare: Compare, line: Line) -> None:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sysid_bench.instruction_sets import VARIABLE, usable_levels
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.kernel_c import VARIABLE, KernelSelection, layout_of, select_kernel
+from sysid_bench.regressors.kernel_c import KernelSelection, layout_of, select_kernel
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.benchmarks import peers
@@ -129,6 +130,25 @@ def test_against_pinocchio(subject: Subject, kernel: str, compare: Compare, line
     line(f"Pinocchio from Python / C kernel, dense, {name}", seconds["Python"] / dense)
 
 
+def test_one_sample_a_call(subject: Subject, compare: Compare, line: Line) -> None:
+    """As an online estimator calls it: one sample through Python, arguments bound once."""
+    if select_kernel().library is None:
+        pytest.skip(select_kernel().reason)
+    few = subject.few(200)
+    sample, samples = subject.columns.sample(), list(zip(few.q, few.v, few.a, strict=True))
+
+    def ours() -> None:
+        for q, v, a in samples:
+            sample(q, v, a)
+
+    peer = peers.pinocchio_in_python(subject.robot, few)
+    seconds = compare({"ours": ours, "Pinocchio": peer}, 15)
+    name = f"{subject.name} ({subject.kind})"
+    line(f"one sample through Python, {name}", seconds["ours"] / len(few) * 1e6, 5, 5, unit="µs")
+    ratio = seconds["Pinocchio"] / seconds["ours"]
+    line(f"Pinocchio from Python / one sample through Python, {name}", ratio, 1, 2, True)
+
+
 @pytest.mark.parametrize(
     ("peer", "arm", "humanoid"),
     [("idyntree", 100, 20), ("per_sample_mujoco", 300, 130), ("figaroh", 20, None)],
@@ -156,7 +176,7 @@ def test_instruction_sets(subject: Subject, compare: Compare, line: Line) -> Non
     if select_kernel().library is None:
         pytest.skip(select_kernel().reason)
     dll = select_kernel().library.dll  # type: ignore[union-attr]
-    levels = compiled.usable_levels(dll)
+    levels = usable_levels(dll)
     program = layout_of(subject.columns)
     functions = {
         level: lambda level=level: compiled.Library(dll, level).dense(

@@ -307,4 +307,10 @@ def test_a_row_without_a_baseline_has_to_be_ok_and_cross_checked(stored: Path) -
     ):
         text = cell_text(cell, {**row, **changes}, None, run)
         assert text.partition("\n")[0] == first
+        if text:  # with what there is of the row, and nothing that is not
+            lines = [line.split() for line in text.splitlines()]
+            shown = {line[0]: line[1:] for line in lines if line}
+            assert shown["status"] == [{**row, **changes}["status"]]
+            assert float(shown["condition"][0]) == row["condition"]
+            assert ("reason" in shown) == bool(changes.get("reason"))
         assert bool(text) == (f"--select 'id == \"{cell.id}\"'" in text)

@@ -4,6 +4,7 @@ import json
 import random
 from contextlib import suppress
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 
 import pytest
@@ -377,6 +378,21 @@ def test_a_model_that_is_not_lists_of_values_is_refused(model: object) -> None:
         from_text(json.dumps(values), "b.json")
 
 
+@pytest.mark.parametrize("name", ["smoke", "terminal"])
+def test_a_kept_baseline_is_read_and_written_as_it_is(name: str) -> None:
+    file = Path(__file__).parents[1] / "baselines" / f"{name}.json"
+    assert to_text(from_text(file.read_text(), file.name)) == file.read_text()
+
+
+def test_a_robot_without_a_cell_is_no_reason_to_refuse_a_file() -> None:
+    values = json.loads(to_text(baseline_of(KEPT)))
+    values["robots"]["other"] = {"parameters": {}, "cells": {}}
+    assert from_text(json.dumps(values), "b.json").run.cells == KEPT.cells
+    del values["robots"]["ur5"]
+    with pytest.raises(UsageError, match="it holds no cell"):
+        from_text(json.dumps(values), "b.json")
+
+
 @pytest.mark.parametrize(
     "written",
     [{"ratio": 1.1, "floor": "x"}, {"ratio": "x", "floor": 0.1}, {"ratio": 1.1, "other": 2.0},
@@ -518,6 +534,7 @@ def without(robot: str) -> RunValues:
     )
 
 
+SETTINGS = "new settings and robots"
 J, G = {"axis": [1.0], "gear": [50.0]}, {"gravity": [0.0, 0.0, -9.81]}
 CHANGES = {
     "a value": (with_cell("a", values=(0.75,)), 1),
@@ -539,13 +556,75 @@ CHANGES = {
 }
 
 
+@pytest.mark.parametrize(
+    ("after", "kind", "count"),
+    [
+        (replace(TWO, parameters={**TWO.parameters, ("ur5", "x"): {"link.m": 1.0}}), SETTINGS, 1),
+        (
+            replace(
+                without("panda"),
+                parameters={**TWO.parameters, ("ur5", "x"): {}, ("ur5", "y"): {"link.m": 1.0}},
+                cells={**TWO.cells, "n": CellValues("new", (), "ok", (1.0,))},
+                models={**TWO.models, "new": KEPT.models["ur5"]},
+            ),
+            SETTINGS,
+            3,
+        ),
+        (without("panda"), "vanished cells", 1),
+    ],
+)
+def test_an_update_counts_each_new_setting_and_robot(
+    after: RunValues, kind: str, count: int
+) -> None:
+    known = through_file(TWO)
+    assert update_of(find_difference(known.run, after, known.tolerances)).counts[kind] == count
+
+
+@given(st.floats(0.1, 1.0), SIZES)
+def test_a_value_has_the_digits_that_exact_comparisons_need(value: float, size: float) -> None:
+    """13 of a factor, so that a change of 1e-12 shows and rounding does not; all of a gap."""
+    names = ("torque_error", "gap")
+    run = replace(
+        KEPT,
+        metrics={name: METRICS[name] for name in names},
+        cells={"a": CellValues("ur5", ("ols",), "ok", (value * size, value))},
+    )
+    error, gap = through_file(run).run.cells["a"].values
+    assert gap == value
+    exact = Decimal(value * size)
+    step = Decimal(1).scaleb(exact.adjusted() - 12)
+    assert error == float(exact.quantize(step))
+
+
+def test_a_line_holds_the_first_120_letters_of_a_reason() -> None:
+    failed = CellValues("ur5", ("ols",), "failed", (None,), "word " * 100)
+    kept = through_file(replace(KEPT, cells={**KEPT.cells, "b": failed})).run.cells["b"]
+    assert kept.reason == failed.reason[:120]
+
+
+@pytest.mark.parametrize("largest", [1e-12, 1e-6, 1.0, 1e9])
+def test_parameters_are_zero_beside_the_largest_of_a_robot_alone(largest: float) -> None:
+    true = {
+        "a.m": largest,
+        "b.m": 1.1e-9 * largest,
+        "c.m": -1.1e-9 * largest,
+        "d.m": 0.9e-9 * largest,
+    }
+    kept = through_file(replace(TWO, parameters={("ur5", "x"): true})).run.parameters["ur5", "x"]
+    assert kept == {**{k: pytest.approx(v, rel=1e-6) for k, v in true.items()}, "d.m": 0.0}
+    exact = {"a.m": 1e9, "b.m": 1.0}  # a share of 1e-9 itself is rounding
+    kept = through_file(replace(TWO, parameters={("ur5", "x"): exact})).run.parameters["ur5", "x"]
+    assert kept == {"a.m": 1e9, "b.m": 0.0}
+
+
 @pytest.mark.parametrize("name", CHANGES)
 def test_an_update_takes_over_each_change_and_nothing_else(name: str) -> None:
     after, count = CHANGES[name]
-    known = through_file(TWO)
+    known, after = through_file(TWO), replace(after, origin={"python": "3.99"})
     found = find_difference(known.run, after, known.tolerances)
     update = update_of(found)
     assert update.taken == count
+    assert update.run.origin == after.origin
     written = through_file(update.run).run
     again = find_difference(written, after, known.tolerances)
     assert not again.is_failed

@@ -1,18 +1,21 @@
 """Laws of common drift: cells within their tolerance that move together are found, scatter not."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy
 
+from sysid_bench.harness.comparison import drift
 from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text, update_of
+from sysid_bench.harness.comparison.drift import find_drift
 from sysid_bench.harness.comparison.run_difference import (
     RunDifference,
     find_difference,
     moved_values,
 )
-from sysid_bench.harness.comparison.run_values import CellValues, RunValues
+from sysid_bench.harness.comparison.run_values import CellValues, RunValues, Tolerance
 from sysid_bench.metrics import METRICS
 
 NAMES = ("torque_error", "rank", "gap")
@@ -112,6 +115,58 @@ def test_errors_of_rounding_do_not_drift() -> None:
     before = replace(run_of(ONES), cells=small)
     larger = {key: replace(c, values=(6e-12, 36.0, 1e-15)) for key, c in small.items()}
     assert not compared(before, replace(before, cells=larger)).is_failed
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_limits_of_size_and_of_chance_belong_to_a_drift(
+    better: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exactly at both a drift counts, and not behind."""
+    small, large = (
+        replace(run_of(ONES[:2]), cells={
+            key: replace(cell, values=(error, 36.0, 1e-15))
+            for key, cell in run_of(ONES[:2]).cells.items()
+        })
+        for error in (1.0, 1.25)
+    )  # fmt: skip
+    before, after = (large, small) if better else (small, large)
+    allowed = {"torque_error": Tolerance("ratio", math.e)}  # of logarithm one
+    found = find_drift(before, after, [*small.cells], allowed)
+    assert [one.verdict for one in found] == ["better" if better else "worse"]
+    assert found[0].cells == tuple(small.cells)
+    size = abs(math.log(1 / 1.25 if better else 1.25))
+    for name, limit, behind in (
+        ("SMALLEST", size, np.nextafter(size, 1.0)),
+        ("LEVEL", found[0].p, np.nextafter(found[0].p, 0.0)),
+    ):
+        with monkeypatch.context() as context:
+            context.setattr(drift, name, limit)
+            assert find_drift(before, after, [*small.cells], allowed) == found
+            context.setattr(drift, name, behind)
+            assert not find_drift(before, after, [*small.cells], allowed)
+
+
+def test_a_metric_without_a_direction_or_a_factor_does_not_drift() -> None:
+    before, after = run_of(ONES), run_of(ONES * 1.005)
+    for tolerance in (Tolerance("exact"), Tolerance("absolute", 1.0), Tolerance("ratio", 1.0)):
+        assert not find_drift(before, after, [*before.cells], {"torque_error": tolerance})
+    plain = replace(METRICS["torque_error"], better=None)
+    before = replace(before, metrics={**before.metrics, "torque_error": plain})
+    allowed = {"torque_error": Tolerance("ratio", 1.01)}
+    assert not find_drift(before, after, [*before.cells], allowed)
+
+
+@pytest.mark.parametrize("floor", [1e-11, 1e-3])
+def test_a_value_at_the_floor_is_rounding_and_one_above_is_not(floor: float) -> None:
+    def run_at(error: float) -> RunValues:
+        cells = {k: replace(c, values=(error, 36.0, 1e-15)) for k, c in run_of(ONES).cells.items()}
+        return replace(run_of(ONES), cells=cells)
+
+    allowed = {"torque_error": Tolerance("ratio", 1.01, floor)}
+    for low, count in ((floor, 0), (float(np.nextafter(floor, 1.0)), 1)):
+        for pair in ((low, 1.009 * low), (1.009 * low, low)):
+            before, after = map(run_at, pair)
+            assert len(find_drift(before, after, [*before.cells], allowed)) == count
 
 
 def test_an_update_takes_a_drift_over_and_counts_it() -> None:

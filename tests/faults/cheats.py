@@ -7,8 +7,10 @@ import contextlib
 import ctypes
 import gc
 import os
+import signal
 import socket
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -102,6 +104,22 @@ class VirtualMemory(_Cheat):
         return False
 
 
+class Trace(_Cheat):
+    """Stops a process as a debugger does, which may read and write all of its memory."""
+
+    def reach(self, problem: Any) -> bool:
+        libc = ctypes.CDLL(None, use_errno=True)
+        for process in _others():
+            if libc.ptrace(16, int(process.name), None, None) == 0:  # PTRACE_ATTACH
+                os.waitpid(int(process.name), _ALL)
+                libc.ptrace(17, int(process.name), None, None)
+                return True
+        return False
+
+
+_ALL = 0x40000000  # __WALL: processes that are traced, too
+
+
 class Environment(_Cheat):
     def reach(self, problem: Any) -> bool:
         return any("SEED" in name or "TOKEN" in name for name in os.environ)
@@ -188,6 +206,63 @@ class WritesPackage(_Cheat):
             with contextlib.suppress(OSError), file.open("ab"):
                 return True
         return False
+
+
+class Devices(_Cheat):
+    """Reads the disk below its files, the memory of the machine, or the log of the kernel."""
+
+    def reach(self, problem: Any) -> bool:
+        found = [*map(Path, ("/dev/mem", "/dev/kmsg"))]
+        found += [one for one in Path("/dev").iterdir() if one.is_block_device()]
+        for device in found:
+            with contextlib.suppress(OSError), device.open("rb"):
+                return True
+        return False
+
+
+class Kernel(_Cheat):
+    """Sets what the kernel runs for a process that crashes: outside of every namespace."""
+
+    def reach(self, problem: Any) -> bool:
+        with Path("/proc/sys/kernel/core_pattern").open("ab"):
+            return True
+
+
+class Keys(_Cheat):
+    """Leaves a note for the cells behind in the keyring of the session, which processes inherit."""
+
+    def reach(self, problem: Any) -> bool:
+        libc = ctypes.CDLL(None)
+        add, control = {"x86_64": (248, 250)}.get(os.uname().machine, (217, 219))
+        session = ctypes.c_int(-3)
+        found = libc.syscall(control, 10, session, b"user", b"sysid_note", 0) > 0
+        libc.syscall(add, b"user", b"sysid_note", b"1", ctypes.c_size_t(1), session)
+        return bool(found)
+
+
+class Nested(_Cheat):
+    """Enters namespaces of its own, where it has all capabilities, and takes off what hides."""
+
+    def reach(self, problem: Any) -> bool:
+        done, write = os.pipe()
+        if os.fork() == 0:
+            libc = ctypes.CDLL(None)
+            libc.unshare(0x10000000 | 0x20000 | 0x20000000)
+            for path in (self.run, self.seeds, Path("/proc"), Path("/dev/shm")):
+                while libc.umount2(os.fsencode(path), 2) == 0:
+                    pass
+            libc.mount(None, b"/", None, ctypes.c_ulong(0x20 | 0x1000), None)  # writable again
+            libc.mount(b"proc", b"/proc", b"proc", ctypes.c_ulong(0), None)
+            cheats = (SeedFile, Rows, WritesRows, WritesPackage, Kernel, Devices)
+            known = {"run": str(self.run), "seeds": str(self.seeds)}
+            for cheat in cheats:
+                with contextlib.suppress(OSError):
+                    if cheat(**known).reach(problem):  # type: ignore[arg-type]
+                        os.write(write, b"1")
+            os._exit(0)
+        os.close(write)
+        os.wait()
+        return bool(os.read(done, 1))
 
 
 class Serializers(_Cheat):
@@ -280,6 +355,56 @@ class Child(_Cheat):
                 time.sleep(600)
             os._exit(0)
         os.read(done, 1)
+        return False
+
+
+class Ignored(_Cheat):
+    """Computes in a child whose times the kernel forgets with it."""
+
+    def reach(self, problem: Any) -> bool:
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+        child = os.fork()
+        if child == 0:
+            until = time.process_time() + 1.0
+            while time.process_time() < until:
+                pass
+            os._exit(0)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(child, 0)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        return False
+
+
+class Neighbour(_Cheat):
+    """Leaves its data in its folder, and looks for those of a method that runs beside it."""
+
+    def reach(self, problem: Any) -> bool:
+        Path("data").write_bytes(problem.b.tobytes())
+        own, until = Path.cwd(), time.monotonic() + 4.0
+        while time.monotonic() < until:
+            for folder in own.parents:
+                for pattern in ("sysid_*/data", "sysid_*/sysid_*/data"):
+                    with contextlib.suppress(OSError):
+                        if any(one.parent != own for one in folder.glob(pattern)):
+                            time.sleep(0.5)
+                            return True
+            time.sleep(0.05)
+        return False
+
+
+class Late(_Cheat):
+    """Leaves a thread that spoils what is computed after its answer."""
+
+    def reach(self, problem: Any) -> bool:
+        def spoil() -> None:
+            from sysid_bench.experiments import experiment_data
+
+            own = experiment_data.ExperimentData.score
+            experiment_data.ExperimentData.score = (  # type: ignore[method-assign]
+                lambda *given: {**own(*given), "torque_error": 99.0}
+            )
+
+        threading.Timer(0.0, spoil).start()
         return False
 
 

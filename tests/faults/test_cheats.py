@@ -1,11 +1,13 @@
 """Law: no third-party method has the truth within reach, changes a row, or is scored otherwise."""
 
+import ctypes
 import json
 import os
 import re
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from multiprocessing.shared_memory import SharedMemory
@@ -14,6 +16,8 @@ from typing import Any
 
 import pytest
 
+import sysid_bench
+from sysid_bench.apps.site.commands.site import site
 from sysid_bench.commands.plan import plan
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.blind_data import SecretError, method_data
@@ -24,21 +28,26 @@ from sysid_bench.harness.run import job_of, run
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite, parse_suite
 from sysid_bench.harness.suite.names import default_names
+from sysid_bench.harness.work import blind_process
 from sysid_bench.harness.work.confinement import ISOLATION
 from sysid_bench.words import MACHINE_FIELDS
 
 from . import cheats
+from .code_mutations import HOOK
 from .runners import suite_of
 
 FILE = Path(cheats.__file__)
 IN_MEMORY = ("Heap", "Frames", "References")
-OF_PROCESSES = ("Memory", "VirtualMemory", "OtherEnvironments", "Descriptors")
+OF_PROCESSES = ("Memory", "VirtualMemory", "OtherEnvironments", "Descriptors", "Trace")
 OF_FILES = (
     "SeedFile", "Rows", "WritesRows", "Links", "Network", "Socket", "SharedMemory", "Terminal",
     "WritesPackage",
 )  # fmt: skip
-OWN = ("Environment", "Scorer", "Serializers", "Clock", "Preload", "Preload 2", "Processes")
-CHEATS = (*IN_MEMORY, *OF_PROCESSES, *OF_FILES, *OWN)
+OF_SYSTEM = ("Devices", "Kernel", "Keys", "Keys 2", "Nested")
+OWN = (
+    "Environment", "Scorer", "Serializers", "Clock", "Preload", "Preload 2", "Processes", "Late",
+)  # fmt: skip
+CHEATS = (*IN_MEMORY, *OF_PROCESSES, *OF_FILES, *OF_SYSTEM, *OWN)
 SECRET = "0123456789abcdef" * 4
 SEAL = "a8ae6e6ee929abea3afcfc5258c8ccd6f85273e0d4626d26c7279f3250f77c8e"
 
@@ -47,7 +56,8 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="namespaces are 
 
 @pytest.fixture
 def port(tmp_path: Path) -> Iterator[int]:
-    """Resources of others: a port, a socket in a file, shared memory and a terminal."""
+    """Resources of others: a port, a socket in a file, shared memory, a terminal and a keyring."""
+    ctypes.CDLL(None).syscall({"x86_64": 250}.get(os.uname().machine, 219), 1, None)
     shared = SharedMemory(create=True, size=8)
     terminal = os.openpty()
     with (
@@ -75,7 +85,7 @@ def rows_with(
     seeds, out = sealed_plant(folder), folder / "run"
     methods = ['use = "ols"']
     for name in (*names, "Honest"):
-        own = 0 if name == "Preload 2" else port
+        own = 1 if name.endswith(" 2") else port
         methods += [
             f'use = "file:{FILE}:{name.partition(" ")[0]}"\nlabel = "{name}"\nrun = "{out}"\n'
             f'seeds = "{seeds}"\nport = {own}'
@@ -92,7 +102,9 @@ def scores(row: dict[str, Any]) -> str:
     return json.dumps({k: v for k, v in row.items() if k not in left_out})
 
 
-@pytest.mark.parametrize("plant", ['"matched"', '"file:sealed.toml"'])
+@pytest.mark.parametrize(
+    "plant", ['"matched"', pytest.param('"file:sealed.toml"', marks=pytest.mark.long)]
+)
 def test_no_cheat_reaches_anything(
     tmp_path: Path, port: int, plant: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,6 +119,28 @@ def test_no_cheat_reaches_anything(
     assert found["Honest"]["torque_error"] == pytest.approx(found["ols"]["torque_error"], rel=1e-6)
     if "sealed" in plant:
         assert all(one["true"] is None for row in found.values() for one in row["parameters_table"])
+
+
+@pytest.mark.long
+def test_no_cheat_of_a_submission_reaches_anything(tmp_path: Path, port: int) -> None:
+    """Run again by a reviewer: a word of a cheat that differs would be another value of its row."""
+    rows_with(tmp_path, CHEATS, port)
+    check = site(submissions=[tmp_path / "run"], seed=1, share=1.0, jobs=2).checks[0]
+    assert check.ok, check.summary()
+    assert len(check.cells) == len(CHEATS) + 2
+
+
+def test_methods_of_two_cells_share_no_folder(tmp_path: Path) -> None:
+    """Data of another repeat would make an average out of one cell."""
+    assert neighbours(tmp_path) == [0.0, 0.0]
+
+
+def neighbours(folder: Path) -> list[float]:
+    """What two methods that run at the same time say of each other's data."""
+    text = suite_of([f'use = "file:{FILE}:Neighbour"'], 'noise = { tau = "1 %" }')
+    text = text.replace("[defaults]", "[run]\nrepeats = 2\n[defaults]")
+    rows = run(parse_suite(text, folder=folder), folder / "run", jobs=2).folder.rows().rows
+    return [row["stats"]["reached"] for row in rows.values()]
 
 
 def test_without_namespaces_cheats_reach_files_and_the_network(
@@ -141,8 +175,9 @@ def test_a_system_that_refuses_a_part_of_the_namespaces(tmp_path: Path) -> None:
 
 
 def test_time_counts_wherever_and_whenever_it_was_used(tmp_path: Path, port: int) -> None:
-    found = rows_with(tmp_path, ("Child", "Early"), port)
+    found = rows_with(tmp_path, ("Child", "Ignored", "Early"), port)
     assert 0.9 < found["Child"]["seconds_cpu"] < 5.0
+    assert 0.9 < found["Ignored"]["seconds_cpu"] < 5.0
     assert 0.4 < found["Early"]["seconds_cpu"] < 5.0
     assert found["Early"]["seconds"] > 0.4
     assert found["Honest"]["seconds_cpu"] < 0.2
@@ -191,6 +226,119 @@ def _prepared() -> Any:
     suite = parse_suite(suite_of(['use = "ols"']), folder=Path())
     (cell,) = cells_of_suite(suite).cells
     return prepare(*load_experiment(job_of([cell], suite, None)))
+
+
+# --- Builds without one of the guards -----------------------------------------------------------
+
+CONFINE, PROCESS, EXECUTE = (
+    "harness/work/confinement",
+    "harness/work/blind_process",
+    "experiments/execute",
+)
+NO_SETTING = "add=_ATTRIBUTE_READ_ONLY | _ATTRIBUTE_NO_DEVICES"
+GUARDS: dict[str, tuple[str, dict[str, str], tuple[str, ...]]] = {
+    "network": (CONFINE, {" | _NEW_NETWORK |": " |"}, ("Network",)),
+    "messages": (CONFINE, {"for path in (_SHARED,)": "for path in ()"}, ("SharedMemory",)),
+    "hidden": (CONFINE, {"for path in hidden:": "for path in ():"},
+               ("SeedFile", "Rows", "Links", "Socket")),
+    "read-only": (CONFINE, {NO_SETTING: "add=_ATTRIBUTE_NO_DEVICES"}, ("WritesPackage", "Nested")),
+    "devices": (CONFINE, {NO_SETTING: "add=_ATTRIBUTE_READ_ONLY"}, ("Devices", "Nested")),
+    "settings of the kernel": (CONFINE, {" | _READ_ONLY)": ")"}, ("Kernel", "Nested")),
+    "keys": (CONFINE, {"    _leave_keyring(libc)\n": ""}, ("Keys 2",)),
+    "environment": (
+        PROCESS,
+        {"env=method_environment(folder)": "env={**os.environ, 'TMPDIR': folder}"},
+        ("Environment",),
+    ),
+    # Root is kept out by the capabilities of the other process as well.
+    "memory": (CONFINE, {"0 if hidden else 1": "1", "    _drop_capabilities(libc)\n": ""},
+               OF_PROCESSES),
+    "a process of its own": (EXECUTE, {'self.entry["cell"] not in code["methods"]': "True"},
+                             ("Heap", "Frames", "References", "Preload 2")),
+}  # fmt: skip
+"""File, what is taken out, what stands there instead, and the cheats that then win. A terminal is
+kept out twice: its folder is hidden, and so are its devices."""
+OF_ROOT = ("Devices", "Kernel", "Nested")
+"""What only root may open, so that only methods that run as root need the guard."""
+
+
+def without_guard(
+    name: str, changes: dict[str, str], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Let the processes that are started from now on read a module with other lines."""
+    file = Path(sysid_bench.__file__).parent / f"{name}.py"
+    text = file.read_text()
+    for old, new in changes.items():
+        assert text.count(old) == 1, (name, old)
+        text = text.replace(old, new)
+    hook = HOOK.format(text=text.encode(), file=str(file))
+    (folder / "hook").mkdir()
+    (folder / "hook" / "sitecustomize.py").write_text(hook)
+    monkeypatch.setenv("PYTHONPATH", f"{folder / 'hook'}{os.pathsep}{Path(__file__).parents[2]}")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("guard", GUARDS)
+def test_a_cheat_wins_without_its_guard(
+    guard: str, tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each guard is needed, and each cheat looks where something is."""
+    file, changes, names = GUARDS[guard]
+    without_guard(file, changes, tmp_path, monkeypatch)
+    if file != EXECUTE:  # beside seeds no method runs in the process of its scores
+        monkeypatch.setenv(SEEDS, str(tmp_path / "seeds.txt"))
+    if guard == "memory":  # in namespaces there is no other process
+        monkeypatch.setenv(ISOLATION, "process")
+        restricted = Path("/proc/sys/kernel/yama/ptrace_scope")
+        if restricted.exists() and restricted.read_text().strip() != "0":
+            pytest.skip("this system lets processes trace their children alone")
+    tried = tuple(dict.fromkeys([*(n.removesuffix(" 2") for n in names), *names]))
+    found = rows_with(tmp_path, tried, port)
+    expected = {name for name in names if os.getuid() == 0 or name not in OF_ROOT}
+    reasons = [row["reason"] for row in found.values()]
+    assert {row["status"] for row in found.values()} == {"ok"}, reasons
+    assert {name for name in names if found[name]["stats"]["reached"]} == expected
+
+
+@pytest.mark.long
+def test_a_late_thread_spoils_other_cells_in_their_process(
+    tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    honest = rows_with(tmp_path / "with", ("Late",), port)["Honest"]
+    _, changes, _ = GUARDS["a process of its own"]
+    without_guard(EXECUTE, changes, tmp_path, monkeypatch)
+    spoilt = rows_with(tmp_path / "without", ("Late",), port)["Honest"]
+    assert honest["torque_error"] < 0.1
+    assert spoilt["torque_error"] == 99.0
+
+
+@pytest.mark.long
+def test_time_of_children_is_lost_where_a_method_may_ignore_them(
+    tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_guard(CONFINE, {"    _count_all_children(libc)\n": ""}, tmp_path, monkeypatch)
+    assert rows_with(tmp_path, ("Ignored",), port)["Ignored"]["seconds_cpu"] < 0.5
+
+
+@pytest.mark.long
+def test_in_a_folder_on_the_disk_methods_see_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_guard(CONFINE, {"    if private:\n": "    if False:\n"}, tmp_path, monkeypatch)
+    assert neighbours(tmp_path) == [1.0, 1.0]
+
+
+def test_what_a_method_writes_without_end_does_not_fill_its_caller() -> None:
+    """Nor does it keep the caller from ending."""
+    code = "import sys\nwhile True: sys.stdout.write('{\"x\": \"' + 'x' * 10**6 + '\"}\\n')"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=-1, stdout=-1) as process:
+        method = blind_process.BlindMethod(process, simulated=True)
+        time.sleep(0.5)
+        assert method._inbox.qsize() <= 2
+        process.kill()
+        process.wait()
+        method.end()
+        assert not method._listener.is_alive()
 
 
 # --- Code that runs before any cell -------------------------------------------------------------

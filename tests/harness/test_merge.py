@@ -13,6 +13,7 @@ from harness_world import FULL, NAMES, read, small
 from hypothesis import given
 from hypothesis import strategies as st
 
+import sysid_bench
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.merge import merge
@@ -59,10 +60,19 @@ def rows(folder: Path) -> dict[str, Any]:
 
 
 def falsify(folder: Path, cell: str, **fields: Any) -> None:
-    """Append a row with other results, as a faulty machine would."""
+    """Replace the row of a cell by one with other results, as a faulty machine would write it."""
+    for file in (folder / "cells").glob("*.jsonl"):
+        found = [json.loads(without_hash(line)) for line in file.read_bytes().splitlines()]
+        new = [row | fields if row["id"] == cell else row for row in found]
+        file.write_bytes(b"".join(with_hash(json.dumps(row).encode()) + b"\n" for row in new))
+
+
+def add_row(folder: Path, cell: str, **fields: Any) -> Path:
+    """Add a row of a cell in a file of its own, as of another worker, with other values."""
     row = read_rows(folder / "cells").rows[cell] | fields
-    line = with_hash(json.dumps(row).encode())
-    (folder / "cells" / "999999-other.jsonl").write_bytes(line + b"\n")
+    file = folder / "cells" / "999999-other.jsonl"
+    file.write_bytes(with_hash(json.dumps(row).encode()) + b"\n")
+    return file
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 100])
@@ -188,6 +198,36 @@ def test_exact_errors_differ_by_rounding_and_counts_by_nothing(tmp_path: Path, c
     for number, folder in enumerate(parts):
         falsify(folder, second, iterations=number + 7)
     assert merge(parts, tmp_path / "other").contradictions == (second,)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize(
+    ("fields", "contradicts"),
+    [
+        ({}, False), ({"torque_error": 0.25 * (1 + 5e-13)}, False), ({"torque_error": 0.5}, True),
+        ({"iterations": 8}, True), ({"seconds": 9.0, "machine": "b"}, False),
+        ({"status": "failed", "torque_error": 0.5}, False),
+        ({"fingerprint": "of other code", "torque_error": 0.5}, False),
+    ],
+)  # fmt: skip
+def test_ok_rows_of_one_run_that_contradict_are_named(
+    tmp_path: Path, copy: Copy, fields: dict[str, Any], contradicts: bool, number: int
+) -> None:
+    """Those that are equal, equal up to rounding, or of other code do not."""
+    parts = [copy(f"half{i}") for i in (1, 2)]
+    cell = list(rows(parts[number]))[-1]
+    falsify(parts[number], cell, torque_error=0.25, iterations=7, condition=100.0)
+    file = add_row(parts[number], cell, **fields)
+    result = merge(parts, tmp_path / "merged", mixed=True)
+    assert result.contradictions == ((cell,) if contradicts else ())
+    assert result.exit_code == contradicts
+    assert (result.twice, result.rounded) == (0, 0)
+    if contradicts:
+        _, last = result.places[cell]
+        assert last == f"{file}:1"
+        summary = sysid_bench.merge(parts, tmp_path / "merged").summary()
+        assert cell in summary
+        assert last in summary
 
 
 @pytest.mark.parametrize("place", range(4))

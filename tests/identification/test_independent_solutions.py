@@ -1,12 +1,16 @@
 """Plain loops, NumPy and SciPy give the answers of the iterative estimators."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
+from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.linalg import toeplitz
 
 from sysid_bench.identification.estimators.linear import WLS
@@ -18,7 +22,8 @@ from sysid_bench.identification.estimators.robust import (
     huber_loss,
     tukey_loss,
 )
-from sysid_bench.identification.linear.reweighted_rows import m_estimate, scaled_rows
+from sysid_bench.identification.linear import reweighted_rows
+from sysid_bench.identification.linear.reweighted_rows import m_estimate, streamed_rows
 from sysid_bench.types import Array, Problem
 from tests.experiments.experiment_world import dense, ready
 from tests.identification.test_least_squares import beta_of, problem_of
@@ -61,7 +66,7 @@ def test_m_estimates_are_the_fixed_point_of_reweighted_least_squares(
 ) -> None:
     problem = noisy(place)
     W, b = dense(problem)
-    rows, start = scaled_rows(problem)
+    rows, start = streamed_rows(problem)
     fit, scales = m_estimate(rows, huber_loss(Huber.cut), start, 200)
     weight, beta = huber_weight, start
     if name == "tukey":
@@ -156,3 +161,80 @@ def test_a_second_of_one_core_is_enough_for_many_rows(make: Callable[[], Any]) -
     estimate = make().solve(problem)
     assert time.process_time() - start < 1.0
     assert estimate.converged
+
+
+def in_parts(problem: Problem, sizes: list[int]) -> Problem:
+    """The same samples in blocks of other sizes, the last one repeated."""
+    W, b = dense(problem)
+
+    def blocks() -> Iterator[tuple[Array, Array]]:
+        start = 0
+        for size in chain(sizes, repeat(sizes[-1])):
+            if start >= len(b):
+                return
+            yield W[start : start + size], b[start : start + size]
+            start += size
+
+    return replace(problem, blocks=blocks)
+
+
+@pytest.mark.parametrize("method", [Huber(), Tukey(), IRLS(), ArGls()], ids=str)
+@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.parametrize("sizes", [[100_000], [97], [1, 2, 1, 50], [3]], ids=str)
+def test_the_blocks_of_the_samples_change_nothing(
+    method: Any, kept: bool, sizes: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor whether they are kept between passes, also where blocks are shorter than a filter."""
+    problem = noisy(PLACES[0])
+    W, _ = dense(problem)
+    monkeypatch.setattr(reweighted_rows, "KEPT", 40e6 if kept else 0)
+    one, other = method.solve(problem), method.solve(in_parts(problem, sizes))
+    agree(W, beta_of(other), beta_of(one))
+    assert other.iterations == one.iterations
+    for mine, theirs in ((other.covariance, one.covariance), (other.stats, one.stats)):
+        assert mine == pytest.approx(theirs, rel=1e-6)
+
+
+@pytest.mark.parametrize("burst", [False, True])
+def test_information_from_a_part_of_the_samples_has_the_same_fixed_point(
+    burst: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A part that misses what a burst excites is not used."""
+    rng = np.random.default_rng(1)
+    W = rng.normal(size=(4000, 3, 6))
+    if burst:
+        W[:, :, 5] = 0.0
+        W[1001:1004, :, 5] = 30.0
+    b = W @ rng.normal(size=6) + 0.3 * rng.standard_t(3, size=(4000, 3))
+    problem = in_parts(problem_of(W, b), [70])
+    every = {name: method().solve(problem) for name, method in METHODS.items()}
+    monkeypatch.setattr(reweighted_rows, "ENOUGH", 500)
+    rows, _ = streamed_rows(problem)
+    assert rows.every == (1 if burst else 8)
+    for name, method in METHODS.items():
+        agree(W, beta_of(method().solve(problem)), beta_of(every[name]))
+
+
+METHODS: dict[str, Any] = {"huber": Huber, "tukey": Tukey, "irls": IRLS, "ar": ArGls}
+
+
+@given(
+    columns=st.lists(
+        st.lists(st.floats(0, 1e300) | st.sampled_from([0.0, 1.0, 5e-324]), min_size=1),
+        min_size=1,
+        max_size=3,
+    ),
+    data=st.data(),
+)
+def test_medians_of_blocks_are_those_of_sorted_columns(
+    columns: list[list[float]], data: st.DataObject
+) -> None:
+    shortest = min(map(len, columns))
+    x = np.array([column[:shortest] for column in columns]).T
+    used = [data.draw(st.integers(0, shortest + 3)) for _ in columns]
+    size = data.draw(st.integers(1, shortest))
+    expected = [
+        np.median(np.sort(column)[-max(n, 1) :]) for column, n in zip(x.T, used, strict=True)
+    ]
+    blocks = [x[k : k + size] for k in range(0, shortest, size)]
+    assert reweighted_rows.streamed_medians(lambda: blocks, used).tolist() == expected

@@ -6,6 +6,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,10 @@ class Robot:
 
     def behaviour(self) -> Behaviour:
         return behaviour_of(load_robot(find_manifest(str(self.folder))))
+
+    def hash(self) -> str:
+        model = load_robot(find_manifest(str(self.folder)))
+        return model_hash(model, behaviour_of(model))
 
 
 Edit = Callable[[Robot], tuple[str, str]]
@@ -280,6 +285,7 @@ def test_an_edit_that_matters_is_named_by_joint(
         assert {change.robot for change in found.models} == {source}
         causes = [(c.joint, c.quantity) for c in found.models if c.quantity != TORQUE]
         assert answer in causes, source
+        assert copy.hash() != made(source)[0].hash(), source
         if name in ("axis", "range", "inertia", "damping", "effort", "gear", "gravity"):
             assert causes == [answer], source  # nothing else is accused
         # The update takes it over, and the same run then keeps the baseline.
@@ -445,6 +451,42 @@ def test_edits_of_an_mjcf(
     assert (before["hash"] == after["hash"]) == (joint is None)
 
 
+def test_a_hash_has_sixteen_digits_and_follows_from_the_rest_without_torques() -> None:
+    robot = robot_of(ARM)
+    found = behaviour_of(robot)
+    other = {joint: {**part, TORQUE: [1.0] * 5} for joint, part in found.items()}
+    assert model_hash(robot, found) == model_hash(robot, other)
+    assert re.fullmatch("[0-9a-f]{16}", model_hash(robot, found))
+
+
+@pytest.mark.parametrize("solid", [*product((0, 1), (0, 1), ("sphere", "box"))])
+def test_shapes_count_where_they_can_touch_by_one_side(solid: tuple[int, int, str]) -> None:
+    """Whether contacts are looked for by their type, by their affinity, or by both."""
+    text = ARM.replace('type="box"', f'type="{solid[2]}"').replace(
+        'contype="0" conaffinity="0"', f'contype="{solid[0]}" conaffinity="{solid[1]}"'
+    )
+    hashes = set()
+    for size in (".1 .2 .3", ".2 .2 .3"):
+        robot = robot_of(text.replace(".1 .2 .3", size))
+        hashes.add(model_hash(robot, behaviour_of(robot)))
+    assert len(hashes) == 1 + any(solid[:2])
+
+
+@pytest.mark.parametrize(
+    ("equality", "name"),
+    [
+        ('<joint joint1="j1" joint2="j2" polycoef="0 1 0 0 0"/>', "coupling joint j1 j2"),
+        ('<joint joint1="j2" polycoef="0 0 0 0 0"/>', "coupling joint j2 world"),
+    ],
+)
+def test_a_coupling_is_named_by_its_ends(equality: str, name: str) -> None:
+    text = ARM.replace("<actuator>", f"<equality>{equality}</equality><actuator>")
+    moved = text.replace('polycoef="0 ', 'polycoef="0.1 ')
+    one, other = (behaviour_of(robot_of(t)) for t in (text, moved))
+    assert name in one[""]
+    assert [(c.joint, c.quantity) for c in behaviour_changes("r", one, other)] == [("", name)]
+
+
 def test_torques_are_those_of_the_equations_of_motion() -> None:
     """Of a pendulum: m l^2 a + m g l sin q, at five different states."""
     text = """<mujoco><worldbody><body><joint name="j" axis="0 1 0"/>
@@ -483,6 +525,54 @@ def test_a_robot_of_any_size_has_nine_digits(seed: int) -> None:
             assert all(float(f"{x:.9g}") == x for x in found[quantity])
         heavier = behaviour_of(robot_of(text.replace(repr(mass), repr(mass * (1 + 1e-13)))))
         assert heavier["j"] == found
+
+
+@pytest.mark.parametrize("name", ROBOTS[:6])
+def test_numbers_of_a_list_are_multiples_of_one_step(name: str, made: Made) -> None:
+    """The ninth digit of the largest: what is smaller has the rounding errors of that."""
+    robot, behaviour = made(name)
+    joints = load_robot(find_manifest(str(robot.folder))).joints
+    assert behaviour[""]["order of joints"] == [joint.name for joint in joints]
+    for joint, quantities in behaviour.items():
+        for quantity, values in quantities.items():
+            assert "-0.0" not in map(str, values)
+            numbers = [Decimal(repr(x)) for x in values if isinstance(x, float)]
+            if largest := max(map(abs, numbers), default=Decimal()):
+                step = Decimal(1).scaleb(largest.adjusted() - 8)
+                assert all(number % step == 0 for number in numbers), (joint, quantity)
+
+
+def test_angles_stay_within_a_radian_and_a_half() -> None:
+    """Under gravity along x and along z a pendulum's torque gives cosine and sine of its angle."""
+    angles = []
+    for name in "abcdefgh":
+        parts = []
+        for gravity in ("0 0 0", "0 0 -9.81", "9.81 0 0"):
+            text = PENDULUM.format(kind="hinge", mass=2.0, place=-0.5, inertia=0.1)
+            text = text.replace('name="j"', f'name="{name}"').replace(
+                "<worldbody>", f'<option gravity="{gravity}"/><worldbody>'
+            )
+            parts.append(np.array(behaviour_of(robot_of(text))[name][TORQUE]))
+        angles += [*np.arctan2(parts[1] - parts[0], parts[2] - parts[0])]
+    assert 1.35 < np.abs(angles).max() <= 1.5 + 1e-6
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_numbers_are_zero_beside_the_largest_of_their_kind(seed: int) -> None:
+    """Below 1e-12 of it, wherever it is; above they have their digits."""
+    rng = np.random.default_rng(seed)
+    large = 10.0 ** rng.uniform(-3, 3)
+    for share, is_kept in (
+        (10.0 ** rng.uniform(-11.9, -1), True),
+        (10.0 ** -rng.uniform(12.1, 14), False),
+    ):
+        text = ARM.replace('damping="0.1"', f'damping="{large!r}"').replace(
+            'name="j2"', f'name="j2" damping="{share * large!r}"'
+        )
+        found = behaviour_of(robot_of(text))
+        small = found["j2"]["viscous friction"]
+        assert small == (pytest.approx([share * large], rel=1e-8) if is_kept else [0.0])
+        assert found["j1"]["viscous friction"] == pytest.approx([large], rel=1e-8)
 
 
 @pytest.mark.parametrize(("kind", "reach"), [("hinge", 3.0), ("slide", 1.0)])
@@ -566,6 +656,16 @@ def test_values_are_the_same_up_to_a_millionth_of_the_largest(seed: int) -> None
         (change,) = behaviour_changes("r", *pair)
         assert (change.robot, change.joint, change.quantity) == ("r", joint, quantity)
         assert (change.before, change.after) == tuple(one[joint][quantity] for one in pair)
+
+
+@pytest.mark.parametrize("exponent", range(6, 12))
+def test_a_millionth_itself_is_the_same(exponent: int) -> None:
+    """The limit belongs to it, and no more."""
+    size = 2.0 * 10.0**exponent
+    for step, count in ((1e-6 * size, 0), (1.001e-6 * size, 1)):
+        pair = ({"j": {"mass": [size]}}, {"j": {"mass": [size - step]}})
+        for before, after in (pair, pair[::-1]):
+            assert len(behaviour_changes("r", before, after)) == count
 
 
 @pytest.mark.parametrize(

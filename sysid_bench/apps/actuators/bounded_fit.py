@@ -191,7 +191,7 @@ def bounded_fit(
         # |R x - Q'b| and |A x - b| have one minimum.
         x, free = _above_least(group, b, np.concatenate([R, P]), np.concatenate([Q.T @ b, p]), rate)
         r = b - group.A @ x
-        covariance = _covariance(group, r, free, rate, scale)
+        covariance = block_covariance(group, r, free, rate, scale)
         penalty += group.prior_cost(x[0]) if len(p) else 0.0
         for i, j in enumerate(group.joints):
             own = group.columns(i)
@@ -305,7 +305,9 @@ def independent_samples(residuals: Array, rate: float) -> Array:
     ])  # fmt: skip
 
 
-def _covariance(group: Group, r: Array, free: Array, rate: float, scale: Array | None) -> Array:
+def block_covariance(
+    group: Group, r: Array, free: Array, rate: float, scale: Array | None = None
+) -> Array:
     """Return the covariance (c, c) of the free unknowns, zero for those on a bound."""
     A, n = group.A[:, free], group.samples
     length = max(1, min(round(BLOCK * rate), n // BLOCKS))

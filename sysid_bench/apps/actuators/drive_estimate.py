@@ -53,8 +53,8 @@ class DriveEstimate:
 
     @property
     def other_values(self) -> dict[str, Array]:
-        """Values (k,) of further unknowns, by name."""
-        found = dict(zip(self.rows.more, self.fit.more.T, strict=True))
+        """Values (k,) of further unknowns, and of the limits of the controllers, by name."""
+        found = {**self.rows.servo, **dict(zip(self.rows.more, self.fit.more.T, strict=True))}
         if "bias" in found and self.rows.bias is not None:
             found["bias"] = found["bias"] + self.rows.bias
         return found

@@ -20,6 +20,7 @@ from sysid_bench.apps.actuators.drive_rows import (
     model_values,
     pooled_rows,
 )
+from sysid_bench.apps.actuators.position_baselines import position_baselines, rollout_fields
 from sysid_bench.apps.actuators.rollout import FITTED, Drives, missing_simulation, rollout_error
 from sysid_bench.errors import (
     SimulationError,
@@ -28,7 +29,7 @@ from sysid_bench.errors import (
     first_names,
     unknown_name,
 )
-from sysid_bench.evaluation.baselines import COMMAND, FILE, Baselines
+from sysid_bench.evaluation.baselines import Baselines
 from sysid_bench.evaluation.score import base_parameters, data_figures, score_recorded
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.input_files import read_text
@@ -205,7 +206,7 @@ class DriveSource:
     @cached_property
     def position_baselines(self) -> Baselines:
         """Errors of positions without an identification."""
-        return position_baselines(list(self.tests.values()), self.found)
+        return position_baselines(list(self.tests.values()), self.found, self.training).baselines
 
     def _rollout(self, method: Any, values: Array) -> float | None:
         """RMS error (rad, m) of the simulated positions of all tests; None of measured torques and
@@ -227,30 +228,6 @@ class DriveSource:
                 with suppress(SimulationError):
                     errors.append(_error(tests, drives))
         return min(errors, default=None)
-
-
-def position_baselines(parts: Sequence[DrivePart], found: DriveEstimate) -> Baselines:
-    """Return the errors (rad, m) of the model file's own values, simulated with the delay that was
-    found, and of the commanded positions themselves; none where nothing is simulated."""
-    judged = [(part, part.log.commands) for part in parts if part.log.commands is not None]
-    if not judged or missing_simulation(judged[0][0].robot):
-        return Baselines()
-    joints, errors = found.rows.joints, {}
-    own = model_values(judged[0][0].robot, joints)
-    with suppress(SimulationError):  # without any friction a robot may diverge
-        errors[FILE] = _error([part for part, _ in judged], Drives(joints, own, found.delay))
-    of_joints = [(commands.of(joints), part.rows) for part, commands in judged]
-    squares = [np.mean((one.q_des - one.q)[rows] ** 2) for one, rows in of_joints]
-    return Baselines({**errors, COMMAND: float(np.sqrt(np.mean(squares)))})
-
-
-def rollout_fields(against: Baselines) -> Row:
-    """Return the fields of a row with the baselines of positions."""
-    errors = against.errors
-    return {
-        "rollout_error_null": errors.get(FILE),
-        "rollout_error_command": errors.get(COMMAND),
-    }
 
 
 def _error(tests: Sequence[DrivePart], drives: Drives) -> float:

@@ -6,8 +6,8 @@ of the links, of springs and of viscous friction between joints. MORE unknowns a
 torque of the drive `gain` tau, links at q + `bias` and friction `load` abs(tau_known) s(v), all of
 them stay linear once both sides are divided by `gain`."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -132,22 +132,27 @@ SAME_RATE: Final = 0.01
 class DriveRows:
     """Features (N, k, 4 + e) of k joints in the order of UNKNOWNS and of e `more` unknowns, at a
     rate (Hz), and the torque of the `links` (N, k), at positions moved by `bias` (k,; None: zero).
-    `torque`: delay of the commands (s) -> torque without that of the links
-    (N, k); a measured torque has no delay. `armature` (2, k): that of tables of motors and its
-    deviation, NaN where there is none; None for none at all. `gains` (k,): joints of one number
-    have one stated kp. `low` (k, 3): least armature and friction. Rows in which a joint sticks are
-    zero."""
+    `commanded`: delay of the commands (s) and limits of the controllers -> torque without that of
+    the links (N, k); a measured torque has neither. `armature` (2, k): that of tables of motors and
+    its deviation, NaN where there is none; None for none at all. `gains` (k,): joints of one number
+    have one stated kp. `low` (k, 3): least armature and friction. `servo` (k,): limits of the
+    controllers by name, as in SERVO. Rows in which a joint sticks are zero."""
 
     joints: tuple[str, ...]
     rate: float
     features: Array
     links: Array
-    torque: Callable[[float], Array]
+    commanded: Callable[[float, Mapping[str, Array]], Array]
     more: tuple[str, ...] = ()
     bias: Array | None = None
     armature: Array | None = None
     gains: tuple[int, ...] = ()
     low: Array | None = None
+    servo: Mapping[str, Array] = field(default_factory=dict)
+
+    def torque(self, delay: float) -> Array:
+        """Return the torque (N, k) without that of the links at a delay (s) of the commands."""
+        return self.commanded(delay, self.servo)
 
 
 def drive_rows(
@@ -170,24 +175,24 @@ def drive_rows(
     processing = Processing(low_pass, differentiate=True, accuracy=ACCURACY)
     filtered = processing.apply(recording, robot.joints)
     q, _ = joint_indices(robot, joints)
-    edge = processing.edge(recording)
-    used = slice(edge, len(recording) - edge)
+    used = used_rows(recording.rate, len(recording))
     motion = _with_base(robot, log, filtered.motion, rows, used)
     motion = _moved(robot, motion, q, np.zeros(len(q)) if bias is None else bias)
     rigid = _known_torque(robot, motion, joints)
     friction = _friction_direction(recording.q[:, q], recording.rate)[used]
     measured: Array = filtered.tau[:, list(map(recording.rows.index, joints))] - rigid
-    commands, weights = _commands_of(robot, log, joints, rows), _weights(friction)
+    commands, weights = _commands_of(robot, log, joints), _weights(friction)
     stated = np.zeros((1, len(joints)))
     if commands is not None:
         stated = commands.kp[:1]
         if "gain" in more:
-            _check_direction(commands)
+            _check_direction(commands.select(rows))
 
-    def torque(delay: float) -> Array:
+    def commanded(delay: float, servo: Mapping[str, Array]) -> Array:
         if commands is None:  # a measured torque has no delay
             return np.asarray(weights * measured)
-        tau = low_pass.smooth(commands.torque(delay), commands.rate)[used]
+        acting = limited_commands(commands, servo).select(rows)
+        tau = low_pass.smooth(acting.torque(delay), commands.rate)[used]
         return np.asarray(weights * (tau - rigid))
 
     return DriveRows(
@@ -195,7 +200,7 @@ def drive_rows(
         rate=recording.rate,
         features=weights[:, :, None] * _features(robot, motion, joints, friction, rigid, more),
         links=weights * rigid,
-        torque=torque,
+        commanded=commanded,
         more=tuple(more),
         bias=bias,
         armature=None if commands is None else commands.armature,
@@ -263,21 +268,50 @@ def _friction_direction(q: Array, rate: float) -> Array:
     return drive_filter(rate).smooth(np.tanh(rates / SMOOTHING), rate)
 
 
-def _commands_of(
-    robot: RobotModel, log: Log, joints: Sequence[str], rows: slice
-) -> Commands | None:
+def _commands_of(robot: RobotModel, log: Log, joints: Sequence[str]) -> Commands | None:
     if log.commands is None:
         return None
     # With the state of the recording, in which held samples are replaced: a drive that repeats a
     # message knows its own state.
     (q, v), whole = joint_indices(robot, joints), log.recording
     own = None if whole.v is None else whole.v[:, v]
-    return replace(log.commands.of(joints), q=whole.q[:, q], v=own).select(rows)
+    return replace(log.commands.of(joints), q=whole.q[:, q], v=own)
+
+
+SERVO: Final = ("torque-limit", "speed-limit", "dead-band")
+"""Limits of position controllers: largest torque (N m, N) over the gain, largest rate of the
+position that is followed (rad/s, m/s), and position error without torque (rad, m). Infinite, or
+zero, where there is none."""
+
+
+def limited_commands(commands: Commands, servo: Mapping[str, Array]) -> Commands:
+    """Return the commands that act with the limits of position controllers."""
+    if "torque-limit" in servo:
+        commands = replace(commands, limit=np.minimum(commands.limit, servo["torque-limit"]))
+    if "dead-band" in servo:
+        commands = replace(commands, band=servo["dead-band"])
+    steps = servo.get("speed-limit", np.full(len(commands.joints), np.inf)) / commands.rate
+    limited = np.flatnonzero(np.isfinite(steps))
+    if not len(limited):
+        return commands
+    q_des = commands.q_des.copy()
+    followed, step = q_des[0, limited], steps[limited]
+    for k, wanted in enumerate(q_des[:, limited]):
+        followed = followed + np.clip(wanted - followed, -step, step)
+        q_des[k, limited] = followed
+    return replace(commands, q_des=q_des)
 
 
 def drive_filter(rate: float) -> Filter:
     """Return the filter of both sides, and of the motion of a base, at a rate (Hz)."""
     return filter_of(f"butter 4 {min(CUTOFF, WIDE * rate):g} Hz zero-phase")
+
+
+def used_rows(rate: float, count: int) -> slice:
+    """Return the samples of a recording that have rows: those that neither the filter nor the
+    differences spoil at its ends."""
+    edge = drive_filter(rate).edge(rate) + ACCURACY
+    return slice(edge, count - edge)
 
 
 def _with_base(
@@ -343,7 +377,7 @@ def pooled_rows(parts: Sequence[DriveRows]) -> DriveRows:
         first,
         features=np.concatenate([part.features for part in parts]),
         links=np.concatenate([part.links for part in parts]),
-        torque=lambda delay: np.concatenate([part.torque(delay) for part in parts]),
+        commanded=lambda *x: np.concatenate([part.commanded(*x) for part in parts]),
     )
 
 

@@ -10,7 +10,13 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.apps.actuators.drive_rows import ACCURACY, base_motion, drive_filter, joint_indices
+from sysid_bench.apps.actuators.drive_rows import (
+    ACCURACY,
+    base_motion,
+    drive_filter,
+    joint_indices,
+    limited_commands,
+)
 from sysid_bench.errors import SimulationError, UnsupportedError
 from sysid_bench.identification.optimisers import (
     BudgetUse,
@@ -53,7 +59,7 @@ def test_end(count: int) -> int:
 @dataclass(frozen=True, eq=False)
 class Drives:
     """Actuators of `joints`: `values` (k, 4) in the order of UNKNOWNS, and the delay (s) of their
-    commands; `more` (k,): values of MORE unknowns, by name."""
+    commands; `more` (k,): values of MORE unknowns and of SERVO limits, by name."""
 
     joints: tuple[str, ...]
     values: Array
@@ -63,6 +69,7 @@ class Drives:
     def apply(self, commands: Commands) -> Commands:
         """Return what acts on the joints: gains, torques and limits times the gain, and positions
         without the encoders' bias."""
+        commands = limited_commands(commands, self.more)
         gain = self.more.get("gain", np.ones(len(commands.joints)))
         bias = self.more.get("bias", 0.0)
         return replace(
@@ -116,10 +123,19 @@ def drive_model(robot: RobotModel, drives: Drives, commands: Commands) -> mujoco
         # MuJoCo 4 has polynomial damping: terms of higher order are not fitted.
         joint.damping = [viscous, *np.zeros(np.size(joint.damping) - 1)]
         _add_motor(spec, name, (commands.kp[0, j], commands.kd[0, j], commands.limit[j]), offset)
+    for name in drives.joints if commands.band is not None else ():
+        # kp times the error within the band, taken off again: its gains follow in `_set_motors`.
+        band = spec.add_actuator(name=BAND + name, target=name)
+        band.trntype, band.biastype = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtBias.mjBIAS_AFFINE
+        band.forcerange, band.forcelimited = [-1.0, 1.0], True
     mj = contact_free(spec.compile())
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     mj.opt.timestep = simulation_step(commands.rate)
     return mj
+
+
+BAND: Final = "dead band of "
+"""Name of the actuator that takes the torque within the dead band of a joint off."""
 
 
 def simulation_step(rate: float) -> float:
@@ -174,7 +190,10 @@ def positions_of(
     each = round(1.0 / (commands.rate * mj.opt.timestep))
     controls = np.zeros((last - first, each, mj.nu))
     acting = np.arange(first * each, last * each) - round(delay * commands.rate * each)
-    controls[:, :, motors] = _controls(commands, acting, each).reshape(last - first, each, -1)
+    bands = [] if commands.band is None else [mj.actuator(BAND + x).id for x in commands.joints]
+    acting_controls = _controls(commands, acting, each).reshape(last - first, each, -1)
+    for of in (motors, bands) if bands else (motors,):
+        controls[:, :, of] = acting_controls
     data = mujoco.MjData(mj)
     data.qpos[at_q], data.qvel[at_v] = commands.q[first], commands.velocity[first]
     _fill_buffers(mj, data, motors, commands, first * each)
@@ -183,7 +202,7 @@ def positions_of(
     for k, steps in enumerate(controls):
         place_base(first + k)
         found[k] = data.qpos[at_q]
-        _set_motors(mj, motors, commands, first + k, data.qvel[at_v])
+        _set_motors(mj, (motors, bands), commands, first + k, data.qvel[at_v])
         if load is not None:
             # The size of the torque that moves the links, without that of armature.
             mujoco.mj_mulM(mj, data, known, data.qacc)
@@ -258,12 +277,22 @@ def _take_steps(mj: mujoco.MjModel, data: mujoco.MjData, controls: Array) -> Non
 
 
 def _set_motors(
-    mj: mujoco.MjModel, motors: Sequence[int], commands: Commands, sample: int, v: Array
+    mj: mujoco.MjModel,
+    actuators: tuple[Sequence[int], Sequence[int]],
+    commands: Commands,
+    sample: int,
+    v: Array,
 ) -> None:
-    """Set the gains of a sample, and the limits at velocities (k,) where they fall with them."""
+    """Set the gains of a sample, of motors and dead bands, and the limits at velocities (k,) where
+    they fall with them."""
+    motors, bands = actuators
     kp, kd = commands.kp[sample], commands.kd[sample]
     mj.actuator_gainprm[motors, 0] = kp
     mj.actuator_biasprm[motors, 1], mj.actuator_biasprm[motors, 2] = -kp, -kd
+    if commands.band is not None:
+        mj.actuator_gainprm[bands, 0], mj.actuator_biasprm[bands, 1] = -kp, kp
+        within = np.maximum(kp * commands.band, 1e-9)  # a range of zero is none
+        mj.actuator_forcerange[bands] = np.stack([-within, within], axis=1)
     if commands.line is not None:
         # The bias of `_add_motor` is a part of the force that is limited.
         offset = -mj.actuator_biasprm[motors, 0]

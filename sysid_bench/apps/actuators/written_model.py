@@ -120,7 +120,8 @@ STEP: Final = 0.005
 @dataclass(frozen=True)
 class JointSettings:
     """Gains kp (N m/rad) and kd (N m s/rad), torque limit (N m, infinite: none), armature
-    (kg m^2), viscous damping (N m s/rad) and Coulomb friction (N m) of a joint; slides: N, m."""
+    (kg m^2), viscous damping (N m s/rad), Coulomb friction (N m), largest speed (rad/s, infinite:
+    none) of a joint; slides: N, m."""
 
     kp: float
     kd: float
@@ -129,6 +130,7 @@ class JointSettings:
     damping: float
     friction: float
     slides: bool = False
+    speed: float = np.inf
 
 
 def settings_text(
@@ -151,6 +153,8 @@ def _usd(one: JointSettings) -> dict[str, float]:
     kind, unit = ("linear", 1.0) if one.slides else ("angular", np.pi / 180.0)
     drive, axis = f"drive:{kind}:physics", f"physxJointAxis:{kind}"
     limit = {} if np.isinf(one.limit) else {f"{drive}:maxForce": one.limit}
+    if np.isfinite(one.speed):
+        limit["physxJoint:maxJointVelocity"] = one.speed / unit
     return {
         f"{drive}:stiffness": one.kp * unit,
         f"{drive}:damping": one.kd * unit,

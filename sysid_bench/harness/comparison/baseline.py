@@ -83,7 +83,7 @@ def _robot_text(baseline: Baseline, robot: str) -> str:
     parameters = {}
     for setting, true in _of_robot(run.parameters, robot):
         # Base parameters below a share of the largest are rounding, which changes: they are 0.
-        smallest = ROUNDING_SHARE * max(map(abs, true.values()), default=0.0)
+        smallest = ROUNDING_SHARE * max((0.0, *map(abs, true.values())))
         values = {name: value if abs(value) > smallest else 0.0 for name, value in true.items()}
         parameters[setting] = {name: _short(value) for name, value in values.items()}
     cells = [(cell.labels, key) for key, cell in run.cells.items() if cell.robot == robot]
@@ -133,14 +133,14 @@ def _cell_json(baseline: Baseline, cell: CellValues) -> list[Any]:
     for name, value in zip(baseline.run.metrics, cell.values, strict=True):
         tolerance = baseline.tolerances[name]
         # A difference needs all digits of a large value.
-        digits = 17 if tolerance.kind == "absolute" else baseline.digits
+        digits = None if tolerance.kind == "absolute" else baseline.digits
         shown.append(None if value is None else _short(tolerance.stored_value(value), digits))
     return shown
 
 
-def _short(value: float, digits: int = _DIGITS) -> float | int | str:
-    """`value` with some digits; infinities as texts, since JSON has none."""
-    text = f"{value:.{digits}g}"
+def _short(value: float, digits: int | None = _DIGITS) -> float | int | str:
+    """`value` with some digits, or all; infinities as texts, since JSON has none."""
+    text = f"{float(value)!r}".removesuffix(".0") if digits is None else f"{value:.{digits}g}"
     if not math.isfinite(value):
         return text
     return int(text) if text.removeprefix("-").isdigit() else float(text)

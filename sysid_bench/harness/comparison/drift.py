@@ -48,9 +48,8 @@ def find_drift(
             continue
         mean, p = float(np.mean(means)), _two_sided_p(means)
         if abs(mean) >= SMALLEST * math.log(tolerance.size) and p <= LEVEL:
-            verdict: Literal["worse", "better"] = (
-                "worse" if (mean > 0) == (better == "lower") else "better"
-            )
+            worse = 1.0 if better == "lower" else -1.0
+            verdict: Literal["worse", "better"] = "worse" if np.sign(mean) == worse else "better"
             found.append(Drift(name, tuple(logs), len(means), math.exp(mean), p, verdict))
     return tuple(found)
 

@@ -50,6 +50,7 @@ except ImportError:  # Windows
     resource = None  # type: ignore[assignment]
 
 _LONGEST: Final = 1 << 26
+_MESSAGES: Final = 2
 _POLL_SECONDS: Final = 0.1
 _READ_SECONDS, _READ_BYTES = 0.1, 5e7
 """CPU seconds, and bytes in a second, of reading data: 10 times what 3 MB take."""
@@ -75,8 +76,10 @@ class BlindMethod:
         self.sources: dict[str, str] = {}
         self.calls: tuple[str, ...] = ()
         self._process, self._simulated = process, simulated
-        self._inbox: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
-        threading.Thread(target=self._listen, daemon=True).start()
+        # Few wait at a time: what a method writes without end must not fill this process.
+        self._inbox: queue.Queue[dict[str, Any] | None] = queue.Queue(_MESSAGES)
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
 
     def __getattr__(self, name: str) -> Any:
         if name not in ("solve", "fit") or name not in self.__dict__.get("calls", ()):
@@ -175,6 +178,13 @@ class BlindMethod:
         except subprocess.TimeoutExpired:
             return ProcessEnd("crash", "its process closed the pipe of its result")
 
+    def end(self) -> None:
+        """Leave out what the process, which has ended, wrote beyond its answers."""
+        until = time.monotonic() + _GRACE_SECONDS  # a process that left its group may keep the pipe
+        while self._listener.is_alive() and time.monotonic() < until:
+            with contextlib.suppress(queue.Empty):
+                self._inbox.get(timeout=_POLL_SECONDS)
+
     def _listen(self) -> None:
         pipe = self._process.stdout
         assert pipe is not None
@@ -246,6 +256,7 @@ def blind_method(
             kill_group(process)
             process.wait()
             kill_subtree()
+            method.end()
             for pipe in (process.stdin, process.stdout):
                 with contextlib.suppress(OSError):
                     pipe and pipe.close()

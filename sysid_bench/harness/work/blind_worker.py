@@ -34,7 +34,7 @@ def main() -> None:
     from sysid_bench.harness.work.confinement import confine
     from sysid_bench.words import PROCESS
 
-    isolation = confine(head["folder"], head["hidden"], head["isolation"])
+    isolation = confine(head["folder"], head["hidden"], head["isolation"], private=True)
     if sys.platform != "linux":
         requests = _ending_with_parent(requests)
     global _process

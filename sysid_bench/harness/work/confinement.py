@@ -2,15 +2,19 @@
 
 A method that is scored shares its user with the processes that hold the truth. In namespaces of
 its own it sees no other process (no `/proc/PID/mem`, no `process_vm_readv`), has no network, can
-write to its folder alone, and the files that are hidden from it are empty; it cannot leave, having
-no capability there. Where the system refuses namespaces, what remains is a process without
-privileges (`PROCESS`).
+write to its folder alone, which is in memory and of the namespace alone, and the files that are
+hidden from it are empty; it cannot leave, having no capability there. Of devices it has those that
+every user may open, of the keys of the kernel none. Where the system refuses namespaces, what
+remains is a process without privileges (`PROCESS`).
 """
 
 import contextlib
 import ctypes
+import errno
 import os
 import signal
+import stat
+import struct
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -33,9 +37,12 @@ _INHERITED: Final = (
 _NEW_MOUNTS, _NEW_IPC, _NEW_USER = 0x00020000, 0x08000000, 0x10000000
 _NEW_PROCESSES, _NEW_NETWORK = 0x20000000, 0x40000000
 _BIND, _RECURSIVE, _PRIVATE = 0x1000, 0x4000, 0x40000
-_NO_DEVICES_OR_PROGRAMS: Final = 0x2 | 0x4 | 0x8
+_READ_ONLY, _NO_DEVICES = 0x1, 0x2 | 0x4
+_NO_DEVICES_OR_PROGRAMS: Final = _NO_DEVICES | 0x8
 _PR_SET_DUMPABLE, _PR_CAPBSET_DROP, _PR_SET_NO_NEW_PRIVS = 4, 24, 38
 _MOUNT_SETATTR, _RECURSIVE_AT = 442, 0x8000
+_ATTRIBUTE_READ_ONLY, _ATTRIBUTE_NO_DEVICES = 0x1, 0x4
+_EVERY_USER: Final = stat.S_IROTH | stat.S_IWOTH
 _DESCRIPTORS: Final = 256
 """More than a process has that was just started."""
 _CAPABILITIES: Final = 64
@@ -53,15 +60,17 @@ def wanted_isolation() -> str:
 
 
 def method_environment(folder: str, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """What a process with code of others is given of an environment, and `folder`, where it can
-    write."""
+    """Return the variables of an environment that a process with third-party code inherits; its
+    temporary and home folder is `folder`, the only one that it can write to."""
     kept = {key: environment[key] for key in _INHERITED if key in environment}
     return {**kept, "TMPDIR": folder, "HOME": folder}
 
 
-def confine(folder: str, hidden: Iterable[str], wanted: str = NAMESPACES) -> str:
+def confine(
+    folder: str, hidden: Iterable[str], wanted: str = NAMESPACES, *, private: bool = False
+) -> str:
     """Go on in a confined process, which can write to `folder` alone and to which the paths
-    `hidden` are empty; return its isolation.
+    `hidden` are empty; return its isolation. What it writes to a `private` folder nobody else sees.
 
     With namespaces this process stays, as the parent of the confined one, and ends as that ends,
     with all that it has started.
@@ -72,11 +81,13 @@ def confine(folder: str, hidden: Iterable[str], wanted: str = NAMESPACES) -> str
     libc = ctypes.CDLL(None, use_errno=True)
     isolation = PROCESS
     paths = tuple(filter(os.path.exists, {*hidden, *_sockets(), "/dev/pts"}))
-    if wanted == NAMESPACES and _can_enter(libc, folder, paths):
-        _enter_namespaces(libc, folder, paths)
+    if wanted == NAMESPACES and _can_enter(libc, folder, paths, private):
+        _enter_namespaces(libc, folder, paths, private)
         _fork_inside(libc)
         isolation = NAMESPACES
     _drop_capabilities(libc)
+    _leave_keyring(libc)
+    _count_all_children(libc)
     return isolation
 
 
@@ -99,20 +110,20 @@ def hide_memory(hidden: bool) -> None:
             ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0 if hidden else 1)
 
 
-def _can_enter(libc: ctypes.CDLL, folder: str, hidden: Sequence[str]) -> bool:
+def _can_enter(libc: ctypes.CDLL, folder: str, hidden: Sequence[str], private: bool) -> bool:
     """True where the system allows all of `_enter_namespaces`."""
     # In a fork: some systems give a namespace without its privileges, and there is no way back.
     trial = os.fork()
     if trial == 0:
         try:
-            _enter_namespaces(libc, folder, hidden)
+            _enter_namespaces(libc, folder, hidden, private)
         except BaseException:
             os._exit(1)
         os._exit(0)
     return os.waitstatus_to_exitcode(os.waitpid(trial, 0)[1]) == 0
 
 
-def _enter_namespaces(libc: ctypes.CDLL, folder: str, hidden: Sequence[str]) -> None:
+def _enter_namespaces(libc: ctypes.CDLL, folder: str, hidden: Sequence[str], private: bool) -> None:
     """Enter namespaces of users, mounts, processes (for children), network and messages; raise
     OSError where the system refuses."""
     user, group = os.getuid(), os.getgid()
@@ -133,16 +144,30 @@ def _enter_namespaces(libc: ctypes.CDLL, folder: str, hidden: Sequence[str]) -> 
     own = [path for path in (_SHARED,) if os.path.isdir(path)]
     for path in own:
         _mount(libc, "none", path, "tmpfs", _NO_DEVICES_OR_PROGRAMS, "size=1g")
-    _mount(libc, folder, folder, None, _BIND)
-    _set_read_only(libc, "/", read_only=True)
+    if private:
+        _mount(libc, "none", folder, "tmpfs", _NO_DEVICES, "size=1g")
+    else:
+        _mount(libc, folder, folder, None, _BIND)
+    # Of the devices, which read-only mounts do not close, those that every user may open: root, and
+    # members of a group, could read the disk below the files.
+    devices = []
+    with os.scandir("/dev") as entries:
+        for path, mode in ((one.path, one.stat(follow_symlinks=False).st_mode) for one in entries):
+            if stat.S_ISCHR(mode) and mode & _EVERY_USER == _EVERY_USER:
+                _mount(libc, path, path, None, _BIND)
+                devices.append(path)
+    _set_mounts(libc, "/", add=_ATTRIBUTE_READ_ONLY | _ATTRIBUTE_NO_DEVICES)
     for path in (folder, *own):
-        _set_read_only(libc, path, read_only=False)
+        _set_mounts(libc, path, remove=_ATTRIBUTE_READ_ONLY)
+    for path in devices:
+        with contextlib.suppress(OSError):  # where the system allows no devices at all
+            _set_mounts(libc, path, remove=_ATTRIBUTE_NO_DEVICES)
     os.chdir(folder)  # that of the new mount
 
 
-def _set_read_only(libc: ctypes.CDLL, path: str, *, read_only: bool) -> None:
-    """Make all mounts at and below a path read-only, or writable (mount_setattr, Linux 5.12)."""
-    attributes = (ctypes.c_uint64 * 4)(*((1, 0) if read_only else (0, 1)), 0, 0)
+def _set_mounts(libc: ctypes.CDLL, path: str, *, add: int = 0, remove: int = 0) -> None:
+    """Set or clear attributes of all mounts at and below a path (mount_setattr, Linux 5.12)."""
+    attributes = (ctypes.c_uint64 * 4)(add, remove, 0, 0)
     at = ctypes.c_char_p(os.fsencode(path))
     if libc.syscall(_MOUNT_SETATTR, -1, at, _RECURSIVE_AT, attributes, ctypes.c_size_t(32)) != 0:
         raise OSError(ctypes.get_errno(), f"mount_setattr of {path}")
@@ -172,7 +197,8 @@ def _fork_inside(libc: ctypes.CDLL) -> None:
     kill_with(os.getppid())
     os.close(status_in)
     try:
-        _mount(libc, "proc", "/proc", "proc", _NO_DEVICES_OR_PROGRAMS)
+        # Read-only: root may set what the kernel runs outside, as for a core dump (/proc/sys).
+        _mount(libc, "proc", "/proc", "proc", _NO_DEVICES_OR_PROGRAMS | _READ_ONLY)
     except OSError:  # containers may refuse: then there is no /proc
         _mount(libc, "none", "/proc", "tmpfs", _NO_DEVICES_OR_PROGRAMS)
     # The first process of a namespace ignores signals, its own as well: methods run in another one.
@@ -213,3 +239,41 @@ def _drop_capabilities(libc: ctypes.CDLL) -> None:
     header = (ctypes.c_uint32 * 2)(_CAPABILITY_VERSION, 0)
     libc.capset(header, (ctypes.c_uint32 * 6)())
     libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
+
+
+_CALLS: Final[dict[str, tuple[int, int, int, int]]] = {
+    "x86_64": (0xC000003E, 13, 250, 317),
+    "aarch64": (0xC00000B7, 134, 219, 277),
+    "riscv64": (0xC00000F3, 134, 219, 277),
+}
+"""Number of an architecture, and of its calls rt_sigaction, keyctl and seccomp."""
+
+
+def _leave_keyring(libc: ctypes.CDLL) -> None:
+    """Join an empty session keyring: processes inherit that of the user's session, in which a
+    method could leave data for those behind it."""
+    if (known := _CALLS.get(os.uname().machine)) is not None:
+        libc.syscall(known[2], 1, None)
+
+
+def _count_all_children(libc: ctypes.CDLL) -> None:
+    """Ignore changes of how SIGCHLD is handled, by a filter of system calls (seccomp): the kernel
+    adds the time of a child to nobody's where its parent ignores the signal."""
+    known = _CALLS.get(os.uname().machine)
+    if known is None or sys.byteorder != "little":
+        return
+    machine, action, _, seccomp = known
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    # Jumps are relative; of seccomp_data: 0 number, 4 architecture, 16 and 24 arguments.
+    load, equal, above, answer = 0x20, 0x15, 0x35, 0x06
+    allow, done, unknown = 0x7FFF0000, 0x00050000, 0x00050000 | errno.ENOSYS
+    program = [
+        (load, 0, 0, 4), (equal, 0, 11, machine), (load, 0, 0, 0), (above, 9, 0, 0x40000000),
+        (equal, 0, 6, action), (load, 0, 0, 16), (equal, 0, 4, int(signal.SIGCHLD)),
+        (load, 0, 0, 24), (equal, 0, 3, 0), (load, 0, 0, 28), (equal, 0, 1, 0),
+        (answer, 0, 0, allow), (answer, 0, 0, done), (answer, 0, 0, unknown),
+    ]  # fmt: skip
+    code = b"".join(struct.pack("=HBBI", *line) for line in program)
+    buffer = ctypes.create_string_buffer(code)
+    # Without SECCOMP_FILTER_FLAG_SPEC_ALLOW (4) older kernels slow the process down.
+    libc.syscall(seccomp, 1, 4, struct.pack("@HP", len(program), ctypes.addressof(buffer)))

@@ -12,15 +12,15 @@ from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.least_squares import with_floor
 from sysid_bench.identification.linear.reweighted_rows import (
     Loss,
-    Reweighting,
-    ScaledRows,
-    information_factor,
+    StreamedRows,
+    Weighting,
     m_estimate,
     m_estimate_result,
     reweighted_fit,
     row_scale,
-    scaled_rows,
+    streamed_rows,
 )
+from sysid_bench.numerics import qr_factor
 from sysid_bench.types import Array, Estimate, Experiment, Problem, RowBlock
 
 
@@ -40,9 +40,9 @@ class Huber:
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
         every direction."""
-        rows, start = scaled_rows(problem)
+        rows, start = streamed_rows(problem)
         loss = huber_loss(self.cut)
-        return m_estimate_result(problem, loss, *m_estimate(rows, loss, start, self.iterations))
+        return m_estimate_result(rows, loss, *m_estimate(rows, loss, start, self.iterations))
 
 
 def huber_loss(cut: float) -> Loss:
@@ -71,11 +71,11 @@ class Tukey:
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
         every direction."""
-        rows, start = scaled_rows(problem)
+        rows, start = streamed_rows(problem)
         first, scales = m_estimate(rows, huber_loss(Huber.cut), start, self.iterations)
         loss = tukey_loss(self.cut)
         fit = m_estimate(rows, loss, first.beta, self.iterations, scales)
-        return m_estimate_result(problem, loss, *fit)
+        return m_estimate_result(rows, loss, *fit)
 
 
 def tukey_loss(cut: float) -> Loss:
@@ -108,7 +108,7 @@ class IRLS:
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and the covariance of the whitened rows; raises EstimationError where the
         motion does not excite every direction."""
-        rows, beta = scaled_rows(problem)
+        rows, beta = streamed_rows(problem)
         # Joints that no parameter acts on have no residual to whiten.
         felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
         k = int(felt.sum())
@@ -116,42 +116,56 @@ class IRLS:
         # the share of their variance within it.
         farthest = float(chdtri(k, erfc(self.cut / sqrt(2)))) if self.cut < 30 else np.inf
         share = float(chdtr(k + 2, farthest) / chdtr(k, farthest)) if farthest < np.inf else 1.0
-        residual = rows.residual(rows.R @ beta)
         # Robust scales first: in a plain covariance an outlier would hide itself.
-        whiten = np.diag(1 / row_scale(problem, residual)[felt])
-        counted = np.ones(len(residual), dtype=bool)
+        whiten = np.diag(1 / row_scale(rows, beta)[felt])
+        counted = np.ones(problem.samples, dtype=bool)
 
-        def weigh(residual: Array, iteration: int) -> Reweighting:
-            nonlocal whiten, counted
-            residual = residual[:, felt]
-            if iteration <= HOLD_AFTER:
-                counted = ((residual @ whiten.T) ** 2).sum(axis=1) <= farthest
-            whiten = _whitening(problem, felt, residual * counted[:, None] / np.sqrt(share))
-            weighted = np.zeros((len(residual), len(felt)))
-            weighted[:, felt] = (residual @ whiten.T @ whiten) * counted[:, None]
-            # Scaled samples, whitened across joints, without the rejected ones.
-            return Reweighting(
-                lambda: (whiten @ Q[kept][:, felt] for Q, kept in rows.samples(counted)), weighted
-            )
+        def weigh(beta: Array, iteration: int) -> Weighting:
+            nonlocal whiten
+            products, used = np.zeros((k, k)), 0
+            for start, e in rows.residuals(beta):
+                e, part = e[:, felt], slice(start, start + len(e))
+                if iteration <= HOLD_AFTER:
+                    counted[part] = ((e @ whiten.T) ** 2).sum(axis=1) <= farthest
+                kept = e[counted[part]]
+                products += kept.T @ kept
+                used += int(np.count_nonzero(kept.any(axis=1)))
+            whiten = _whitening(problem, felt, products / share, used)
+            return _whitened_across(whiten, felt, counted)
 
         fit = reweighted_fit(rows, beta, self.iterations, weigh, HOLD_AFTER)
-        root = information_factor(fit.last.blocks())
         rejected = float(len(counted) - counted.sum())
-        return fit.estimate(rows.covariance(root), {"left_out": rejected})
+        return fit.estimate(rows.covariance(fit.beta, fit.weighting), {"left_out": rejected})
 
 
-def _whitening(problem: Problem, felt: Array, residual: Array) -> Array:
-    """C^-1/2 D^-1 (k, k) of the covariance D C D of residuals (N, k), D their standard deviations.
+def _whitened_across(whiten: Array, felt: Array, counted: Array) -> Weighting:
+    """Samples whitened across the joints that are `felt`, without those that are not counted."""
+
+    def values(e: Array, start: int) -> Array:
+        weighted = np.zeros_like(e)
+        weighted[:, felt] = e[:, felt] @ whiten.T @ whiten
+        return np.asarray(weighted * counted[start : start + len(e), None])
+
+    def rows(Q: Array, _: Array, samples: Array) -> Array:
+        return np.asarray(whiten @ Q[counted[samples]][:, felt])
+
+    return Weighting(values, rows)
+
+
+def _whitening(problem: Problem, felt: Array, products: Array, used: int) -> Array:
+    """C^-1/2 D^-1 (k, k) of the covariance D C D of `used` residuals with the sums of products
+    (k, k), D their standard deviations.
 
     The symmetric root treats all joints alike; a floor above rounding keeps the covariance of exact
     data regular.
     """
     acting = np.array([len(factor.columns) for factor in problem.factors])[felt]
-    freedom = np.maximum(np.count_nonzero(residual.any(axis=1)) - acting, 1.0)
+    freedom = np.maximum(used - acting, 1.0)
     floor = with_floor(problem, np.zeros(len(problem.factors)))[felt]
-    deviations = np.sqrt((residual**2).sum(axis=0) / freedom + floor**2)
-    scaled = residual / np.sqrt(freedom) / deviations
-    values, axes = np.linalg.eigh(scaled.T @ scaled + np.diag((floor / deviations) ** 2))
+    deviations = np.sqrt(np.diag(products) / freedom + floor**2)
+    scale = np.sqrt(freedom) * deviations
+    noise = products / np.outer(scale, scale) + np.diag((floor / deviations) ** 2)
+    values, axes = np.linalg.eigh(noise)
     return np.asarray((axes / np.sqrt(np.maximum(values, 1e-12))) @ axes.T / deviations)
 
 
@@ -191,12 +205,14 @@ class ArGls:
                 yield W, b[start : start + len(W)]
                 start += len(W)
 
-        W = np.concatenate([block for block, _ in blocks()])
-        factors = []
-        for j, factor in enumerate(problem.factors):
-            rows = np.column_stack([W[:, j][:, factor.columns], b[:, j]])
-            R = np.asarray(np.linalg.qr(rows, mode="r"))
-            factors.append(replace(factor, R=R, samples=len(b)))
+        R = [np.zeros((0, len(factor.columns) + 1)) for factor in problem.factors]
+        for W, torque in blocks():
+            for j, factor in enumerate(problem.factors):
+                R[j] = qr_factor(
+                    [R[j], np.column_stack([W[:, j][:, factor.columns], torque[:, j]])]
+                )
+        pairs = zip(problem.factors, R, strict=True)
+        factors = [replace(factor, R=root, samples=len(b)) for factor, root in pairs]
         return self.solve(replace(problem, blocks=blocks, factors=tuple(factors), samples=len(b)))
 
     def solve(self, problem: Problem) -> Estimate:
@@ -209,56 +225,70 @@ class ArGls:
                 f"{problem.samples} samples are too few for noise of order {self.order}; record a "
                 "longer motion, or use the method 'wls'."
             )
-        rows, beta = scaled_rows(problem)
+        rows, beta = streamed_rows(problem)
         # Columns of each row and coefficients of its filter are estimated from its samples.
         acting = np.array([len(factor.columns) for factor in problem.factors])
         freedom = np.maximum(problem.samples - 2 * self.order - acting, 1)
         taps = np.zeros((len(acting), self.order + 1))
 
-        def weigh(residual: Array, _: int) -> Reweighting:
+        def weigh(beta: Array, _: int) -> Weighting:
             nonlocal taps
-            taps = np.array([_whitening_filter(column, self.order) for column in residual.T])
-            white = _filtered(residual, taps)
-            sigma = with_floor(problem, np.sqrt((white**2).sum(axis=0) / freedom))
-            scaled, white = taps / sigma[:, None], white / sigma**2
-            # v (N, rows) with v'x = white' filtered(x): the adjoint runs backwards in time.
-            values = np.zeros_like(residual)
-            for k in range(self.order + 1):
-                start = self.order - k
-                values[start : start + len(white)] += taps[:, k] * white
-            return Reweighting(lambda: _filtered_blocks(rows, scaled), values)
+            lags, products = _moments(rows, beta, self.order)
+            taps = np.array([_whitening_filter(of_row) for of_row in lags])
+            # Squares of the filtered residual: a quadratic form of its moments.
+            squares = np.maximum(np.einsum("jk,jkl,jl->j", taps, products, taps), 0.0)
+            return _whitened_in_time(taps, with_floor(problem, np.sqrt(squares / freedom)))
 
         fit = reweighted_fit(rows, beta, self.iterations, weigh)
-        root = information_factor(fit.last.blocks())
         poles = [float(np.abs(np.roots(tap)).max(initial=0.0)) for tap in taps]
-        return fit.estimate(rows.covariance(root), {"largest_pole": max(poles)})
+        spread = rows.covariance(fit.beta, fit.weighting)
+        return fit.estimate(spread, {"largest_pole": max(poles)})
 
 
-def _whitening_filter(noise: Array, order: int) -> Array:
-    """Filter [1, a_1, ..., a_order] that whitens a series (N,), by the Yule-Walker equations."""
-    # Biased autocorrelations (divided by N, not N - k): the model is always stable.
-    lags = np.array([noise[k:] @ noise[: len(noise) - k] for k in range(order + 1)])
-    if order == 0 or lags[0] == 0.0:
-        return np.concatenate([[1.0], np.zeros(order)])
+def _moments(rows: StreamedRows, beta: Array, order: int) -> tuple[Array, Array]:
+    """Autocorrelations (rows, order + 1) of the residuals, sums over N - k products, and the sums
+    (rows, order + 1, order + 1) of e_(t - k) e_(t - l) over t >= order."""
+    count = len(rows.problem.rows)
+    lags, products = np.zeros((count, order + 1)), np.zeros((count, order + 1, order + 1))
+    for start, e in rows.residuals(beta, overlap=order):
+        if len(e) > order:
+            if start == 0:  # samples that have no `order` samples before them
+                lags += [[x[k:] @ x[: len(x) - k] for k in range(order + 1)] for x in e[:order].T]
+            shifted = np.stack([e[order - k : len(e) - k].T for k in range(order + 1)], axis=1)
+            products += shifted @ shifted.transpose(0, 2, 1)
+    return lags + products[:, 0], products
+
+
+def _whitening_filter(lags: Array) -> Array:
+    """Filter [1, a_1, ..., a_order] that whitens a series of autocorrelations (order + 1,), by the
+    Yule-Walker equations: biased ones (divided by N, not N - k) make the model stable."""
+    if len(lags) == 1 or lags[0] == 0.0:
+        return np.concatenate([[1.0], np.zeros(len(lags) - 1)])
     return np.concatenate([[1.0], solve_toeplitz(lags[:-1], -lags[1:])])
 
 
-def _filtered_blocks(rows: ScaledRows, taps: Array) -> Iterator[Array]:
-    """Scaled samples filtered in time, block by block, without the first `order` of them."""
+def _whitened_in_time(taps: Array, sigma: Array) -> Weighting:
+    """Samples filtered in time by `taps` (rows, order + 1) and divided by sigma (rows,)."""
     order = taps.shape[1] - 1
-    past: Array | None = None
-    for Q, _ in rows.blocks():
-        Q = Q if past is None else np.concatenate([past, Q])
-        if len(Q) > order:
-            yield _filtered(Q, taps[..., None])
-        # -order as start would keep everything for order 0.
-        past = Q[len(Q) - min(order, len(Q)) :]
+
+    def values(e: Array, _: int) -> Array:
+        v = np.zeros_like(e)
+        white = _filtered(e, taps) / sigma**2
+        # v'x = white' filtered(x): the adjoint runs backwards in time.
+        for k in range(order + 1):
+            v[order - k : order - k + len(white)] += taps[:, k] * white
+        return v
+
+    def rows(Q: Array, _e: Array, _at: Array) -> Array:
+        return _filtered(Q, (taps / sigma[:, None])[..., None])
+
+    return Weighting(values, rows, overlap=order)
 
 
 def _filtered(values: Array, taps: Array) -> Array:
     """sum_k taps_k (rows, order + 1, ...) values_(t - k) (N, rows, ...): (N - order, rows, ...)."""
     order = taps.shape[1] - 1
-    count = len(values) - order
+    count = max(len(values) - order, 0)
     return np.asarray(
         sum(taps[:, k] * values[order - k : order - k + count] for k in range(order + 1))
     )

@@ -1,6 +1,7 @@
 """Iteratively reweighted least squares: residuals sample by sample, steps with a weight per sample.
 
-In M-estimation each row has its own scale, the median absolute residual over 0.6745 (MAD): the
+Samples are read block by block in every pass, so that memory does not grow with their number. In
+M-estimation each row has its own scale, the median absolute residual over 0.6745 (MAD): the
 standard deviation for Gaussian noise, insensitive to outliers (Holland and Welsch 1977)."""
 
 from collections.abc import Callable, Iterable, Iterator
@@ -19,72 +20,110 @@ from sysid_bench.identification.linear.least_squares import (
 )
 from sysid_bench.types import Array, Estimate, Problem, RowBlock
 
-KEPT: Final = 256e6
-"""Most bytes of scaled samples that are kept; others are made again in every iteration."""
+KEPT: Final = 40e6
+"""Most bytes of samples that are kept between passes; others are made again in every pass."""
 
 SMALL: Final = 1e-10
 """Share of the torques that the last step of a converged iteration may change."""
+
+ENOUGH: Final = 20_000
+"""Samples, spread over all, from which the information matrix of a step is made."""
 
 SETTLED: Final = "a step changes the torques by less than 1e-10 of them"
 
 
 @dataclass(frozen=True, eq=False)
-class ScaledRows:
-    """Samples Q = Y R^-1 of a problem in the unknowns gamma = R beta, R (r, r) a factor of similar
-    rows: Q is nearly orthonormal, so that its normal equations lose no digits, and the next step
-    corrects the rounding error of this one."""
+class Weighting:
+    """Weights of one iteration as functions of a block, whose first sample has the index `start`.
+
+    `values(e, start)` are v (n, rows) of residuals e (n, rows), for the gradient Y'v;
+    `rows(Q, e, samples)` are samples Q (n, rows, r) of indices (n,) times the roots of their
+    weights. A block begins with the last `overlap` samples of the block before.
+    """
+
+    values: Callable[[Array, int], Array]
+    rows: Callable[[Array, Array, Array], Array]
+    overlap: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class StreamedRows:
+    """Samples of a problem in the unknowns gamma = R beta, R (r, r) the factor of all rows divided
+    by `sigma` (rows,).
+
+    Q = Y R^-1 is nearly orthonormal, so that its normal equations lose no digits, and the next step
+    corrects the rounding error of this one. Residuals and gradients need Y alone.
+    """
 
     problem: Problem
     R: Array
+    sigma: Array
 
-    def blocks(self) -> Iterable[RowBlock]:
-        """Blocks of Q (n, rows, r) and b (n, rows), in time order."""
-        return self._scaled() if self._kept is None else self._kept
+    def blocks(self, overlap: int = 0) -> Iterator[tuple[int, Array, Array]]:
+        """Yield (start, Y (n, rows, r), b (n, rows)) in time order; blocks after the first begin
+        with up to `overlap` samples of those before."""
+        end, past = 0, None
+        for Y, b in self.problem.blocks() if self._kept is None else self._kept:
+            if past is not None:
+                Y, b = (np.concatenate(pair) for pair in zip(past, (Y, b), strict=True))
+            yield end - (0 if past is None else len(past[0])), Y, b
+            end += len(b) - (0 if past is None else len(past[0]))
+            if overlap:
+                past = (Y[-overlap:], b[-overlap:])
 
     @cached_property
     def _kept(self) -> list[RowBlock] | None:
         size = 8 * self.problem.samples * len(self.problem.rows) * len(self.R)
-        return list(self._scaled()) if size <= KEPT else None
+        return list(self.problem.blocks()) if size <= KEPT else None
 
-    def _scaled(self) -> Iterator[RowBlock]:
+    def residuals(self, beta: Array, overlap: int = 0) -> Iterator[tuple[int, Array]]:
+        """Yield (start, b - Y beta (n, rows)) block by block."""
+        for start, Y, b in self.blocks(overlap):
+            # One product of a matrix and a vector, faster than one of each sample.
+            yield start, b - (Y.reshape(-1, len(beta)) @ beta).reshape(b.shape)
+
+    def gradient(self, beta: Array, weighting: Weighting) -> Array:
+        """Gradient (r,) by gamma at beta."""
+        total = np.zeros(len(self.R))
+        for start, Y, b in self.blocks(weighting.overlap):
+            values = weighting.values(b - Y @ beta, start)
+            total += values.ravel() @ Y.reshape(-1, len(total))
+        return solve_triangular(self.R, total, trans="T")
+
+    @cached_property
+    def every(self) -> int:
+        """Of how many samples one is enough for the information of a step."""
+        every = max(self.problem.samples // ENOUGH, 1)
+        sigma = self.sigma[:, None]
+        plain = Weighting(lambda e, _: e / sigma[:, 0] ** 2, lambda Q, _e, _at: Q / sigma)
+        if every == 1:
+            return 1
+        # All samples give R'R, in these unknowns the identity: what a part gives must be near.
+        shares = np.linalg.eigvalsh(self.information(np.zeros(len(self.R)), plain, every))
+        return every if shares[0] > 0.5 and shares[-1] < 2.0 else 1
+
+    def information(self, beta: Array, weighting: Weighting, every: int = 1) -> Array:
+        """Weighted sum of Q'Q (r, r), as one of `every` samples has it."""
         r = len(self.R)
-        for Y, b in self.problem.blocks():
-            Q = solve_triangular(self.R, Y.reshape(-1, r).T, trans="T").T
-            yield Q.reshape(Y.shape), b
+        total, inverse = np.zeros((r, r)), solve_triangular(self.R, np.eye(r))
+        # Filters need all samples; the others are left out before Q is made.
+        before, after = (every, 1) if weighting.overlap == 0 else (1, every)
+        for start, Y, b in self.blocks(weighting.overlap):
+            samples = np.arange(start, start + len(b))
+            chosen = samples % before == 0
+            Y, b = Y[chosen], b[chosen]
+            Q = (Y.reshape(-1, r) @ inverse).reshape(Y.shape)
+            rows = weighting.rows(Q, b - Y @ beta, samples[chosen])[::after].reshape(-1, r)
+            if len(rows):
+                # Fortran order of the transpose: no copy, and half of the products.
+                total += blas.dsyrk(1.0, rows.T)
+        return every * (np.triu(total) + np.triu(total, 1).T)
 
-    def samples(self, *values: Array) -> Iterator[tuple[Array, ...]]:
-        """Blocks of Q (n, rows, r), each with its samples of the `values` (N, ...)."""
-        start = 0
-        for Q, b in self.blocks():
-            end = start + len(b)
-            yield Q, *(each[start:end] for each in values)
-            start = end
-
-    def residual(self, gamma: Array) -> Array:
-        """b - Q gamma of each sample (N, rows)."""
-        return np.concatenate([b - Q @ gamma for Q, b in self.blocks()])
-
-    def gradient(self, values: Array) -> Array:
-        """Q' values (r,) of values (N, rows)."""
-        parts = [each.ravel() @ Q.reshape(-1, len(self.R)) for Q, each in self.samples(values)]
-        return np.asarray(np.sum(parts, axis=0))
-
-    def covariance(self, factor: Array) -> Array:
-        """Covariance (r, r) of beta for unit noise and a Cholesky factor of the information."""
+    def covariance(self, beta: Array, weighting: Weighting) -> Array:
+        """Covariance (r, r) of beta for weighted rows of unit noise."""
+        factor = np.triu(cho_factor(self.information(beta, weighting))[0])
         half = solve_triangular(factor @ self.R, np.eye(len(factor)))
         return np.asarray(half @ half.T)
-
-
-def information_factor(blocks: Iterable[Array]) -> Array:
-    """Upper Cholesky factor (r, r) of the sum of Q'Q over blocks (n, rows, r)."""
-    total: Array | None = None
-    for Q in blocks:
-        rows = Q.reshape(-1, Q.shape[-1])
-        # Fortran order of the transpose: no copy, and half of the products.
-        part = blas.dsyrk(1.0, rows.T)
-        total = part if total is None else total + part
-    assert total is not None
-    return np.triu(cho_factor(total)[0])
 
 
 MAD_OF_GAUSSIAN: Final = 0.6745
@@ -102,19 +141,10 @@ class Loss:
     slope: Callable[[Array], Array]
 
 
-def scaled_rows(problem: Problem) -> tuple[ScaledRows, Array]:
-    """Return the samples scaled by the factor of `wls`, and its beta (r,)."""
-    beta, weighted, _ = scaled_fit(problem)
-    return ScaledRows(problem, weighted[:-1, :-1]), beta
-
-
-@dataclass(frozen=True, eq=False)
-class Reweighting:
-    """Weights of one iteration: `blocks` makes the scaled samples times the roots of their weights,
-    and `residual` (N, rows) is weighted."""
-
-    blocks: Callable[[], Iterable[Array]]
-    residual: Array
+def streamed_rows(problem: Problem) -> tuple[StreamedRows, Array]:
+    """Return the samples with the factor of `wls` as R, and its beta (r,)."""
+    beta, weighted, sigma = scaled_fit(problem)
+    return StreamedRows(problem, weighted[:-1, :-1], sigma), beta
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +152,7 @@ class ReweightedFit:
     """Fixed point of reweighted least squares, or the last iterate, with its weights."""
 
     beta: Array  # (r,)
-    last: Reweighting
+    weighting: Weighting
     iterations: int
     converged: bool
 
@@ -139,71 +169,123 @@ class ReweightedFit:
 
 
 def reweighted_fit(
-    rows: ScaledRows,
+    rows: StreamedRows,
     beta: Array,
     iterations: int,
-    weigh: Callable[[Array, int], Reweighting],
+    weigh: Callable[[Array, int], Weighting],
     hold_after: int = 0,
 ) -> ReweightedFit:
-    """Return the fixed point from a start beta (r,): `weigh(residual, iteration)` makes the weights
-    from residuals (N, rows). It can converge after iteration `hold_after`, from which `weigh` holds
-    what could alternate for ever."""
+    """Return the fixed point from a start beta (r,): `weigh(beta, iteration)` makes the weights
+    from the residuals of beta. It can converge after iteration `hold_after`, from which `weigh`
+    holds what could alternate for ever."""
     gamma, root, converged = rows.R @ beta, rows.R, False
     for iteration in range(1, iterations + 1):
-        now = weigh(rows.residual(gamma), iteration)
+        weighting = weigh(beta, iteration)
         # The information is made anew in iterations 1, 2, 4, 8 and so on: a step with that of
-        # similar weights has the same fixed point, for a hundredth of the products.
+        # similar weights, of a part of many samples, has the same fixed point, for a hundredth of
+        # the products.
         if iteration & (iteration - 1) == 0:
-            root = information_factor(now.blocks())
+            root = np.triu(cho_factor(rows.information(beta, weighting, rows.every))[0])
         # A step from the present residual, not a fit of b: an old or rounded factor changes the
         # way, and not the fixed point.
-        change = np.asarray(cho_solve((root, False), rows.gradient(now.residual)))
+        change = np.asarray(cho_solve((root, False), rows.gradient(beta, weighting)))
         gamma = gamma + change
+        beta = solve_triangular(rows.R, gamma)
         # |gamma| = |R beta| is the size of the torques: the stop rule depends on no unit.
         small = np.linalg.norm(change) <= SMALL * np.linalg.norm(gamma)
         converged = iteration > hold_after and bool(small)
         if converged:
             break
-    return ReweightedFit(solve_triangular(rows.R, gamma), now, iteration, converged)
+    return ReweightedFit(beta, weighting, iteration, converged)
 
 
 def m_estimate(
-    rows: ScaledRows, loss: Loss, beta: Array, iterations: int, scales: Array | None = None
+    rows: StreamedRows, loss: Loss, beta: Array, iterations: int, scales: Array | None = None
 ) -> tuple[ReweightedFit, Array]:
     """Return the M-estimate from a start beta (r,), and the scales (rows,); given ones are held."""
     hold_after = 0 if scales is not None else HOLD_AFTER
     held = np.ones(len(rows.problem.rows)) if scales is None else scales
 
-    def weigh(residual: Array, iteration: int) -> Reweighting:
+    def weigh(beta: Array, iteration: int) -> Weighting:
         nonlocal held
         if iteration <= hold_after:
-            held = row_scale(rows.problem, residual)
-        weights = loss.weight(residual / held) / held**2
-        roots = np.sqrt(weights)
-        return Reweighting(
-            lambda: (Q * root[..., None] for Q, root in rows.samples(roots)), weights * residual
+            held = row_scale(rows, beta)
+        scale = held
+        return Weighting(
+            lambda e, _: loss.weight(e / scale) / scale**2 * e,
+            lambda Q, e, _: Q * (np.sqrt(loss.weight(e / scale)) / scale)[..., None],
         )
 
     return reweighted_fit(rows, beta, iterations, weigh, hold_after), held
 
 
-def m_estimate_result(problem: Problem, loss: Loss, fit: ReweightedFit, scales: Array) -> Estimate:
+def m_estimate_result(
+    rows: StreamedRows, loss: Loss, fit: ReweightedFit, scales: Array
+) -> Estimate:
     """Return the estimate with the covariance A^-1 B A^-1 of Huber (1981, section 7.6):
     A = sum E psi' W_j'W_j / s_j^2, B = sum E psi^2 W_j'W_j / s_j^2, expectations over each row."""
-    u = np.concatenate([b - Y @ fit.beta for Y, b in problem.blocks()]) / scales
-    weight = loss.weight(u)
-    # weight * u is psi(u).
-    slope, squares = loss.slope(u).mean(axis=0), ((weight * u) ** 2).mean(axis=0)
-    r = problem.base.rank
-    outer = stacked_factor(problem, (np.sqrt(np.maximum(slope, 0.0)) / scales).tolist())
-    inner = stacked_factor(problem, (np.sqrt(squares) / scales).tolist())[:r, :r]
+    slope, squares, count, least = np.zeros(len(scales)), np.zeros(len(scales)), 0, np.inf
+    for _, e in rows.residuals(fit.beta):
+        u = e / scales
+        weight = loss.weight(u)
+        # weight * u is psi(u).
+        slope, squares = (
+            slope + loss.slope(u).sum(axis=0),
+            squares + ((weight * u) ** 2).sum(axis=0),
+        )
+        count, least = count + len(u), min(least, float(weight.min(initial=np.inf)))
+    r = rows.problem.base.rank
+    outer = stacked_factor(
+        rows.problem, (np.sqrt(np.maximum(slope / count, 0.0)) / scales).tolist()
+    )
+    inner = stacked_factor(rows.problem, (np.sqrt(squares / count) / scales).tolist())[:r, :r]
     spread = covariance(outer) @ inner.T
-    return fit.estimate(spread @ spread.T, {"least_weight": float(weight.min())})
+    return fit.estimate(spread @ spread.T, {"least_weight": least})
 
 
-def row_scale(problem: Problem, residual: Array) -> Array:
-    """MAD scale (rows,) of residuals (N, rows), above rounding, over the samples of each row."""
-    # Samples that are left out have a residual of zero: they are the first of the sorted ones.
-    columns = zip(np.sort(np.abs(residual), axis=0).T, problem.factors, strict=True)
-    medians = np.array([np.median(size[-max(f.samples, 1) :]) for size, f in columns])
-    return with_floor(problem, medians / MAD_OF_GAUSSIAN)
+def row_scale(rows: StreamedRows, beta: Array) -> Array:
+    """MAD scale (rows,) of the residuals of beta, above rounding, over the samples of each row."""
+
+    def sizes() -> Iterator[Array]:
+        for _, e in rows.residuals(beta):
+            yield np.abs(e)
+
+    counts = [factor.samples for factor in rows.problem.factors]
+    return with_floor(rows.problem, streamed_medians(sizes, counts) / MAD_OF_GAUSSIAN)
+
+
+BIN_SHIFT: Final = 48
+"""Bits of a double behind its exponent and four bits of its mantissa: bins of 6 %."""
+
+
+def streamed_medians(blocks: Callable[[], Iterable[Array]], counts: list[int]) -> Array:
+    """Medians (k,) of columns of sizes (N, k), none negative, in blocks (n, k) that are read twice.
+
+    That of column i is over its `counts[i]` largest: what is left out of a column is zero in it.
+    Bins in a first pass select the few numbers that a second one sorts, so that they are exact.
+    """
+    bins = 1 << (63 - BIN_SHIFT)
+    histogram, columns, total = np.zeros(bins * len(counts), int), np.arange(len(counts)), 0
+    for block in blocks():
+        # Doubles that are not negative are in the order of their bits.
+        np.add.at(histogram, _bins(block) + columns * bins, 1)
+        total += len(block)
+    below = np.cumsum(histogram.reshape(-1, bins), axis=1)
+    middle = []
+    for reach, count in zip(below, counts, strict=True):
+        last, used = total - 1, min(max(count, 1), total)
+        ranks = np.array([last - used // 2, last - (used - 1) // 2])
+        middle.append((ranks, *np.searchsorted(reach, ranks, side="right")))
+    chosen: list[list[Array]] = [[] for _ in counts]
+    for block in blocks():
+        for i, (column, x) in enumerate(zip(_bins(block).T, block.T, strict=True)):
+            chosen[i].append(x[(column >= middle[i][1]) & (column <= middle[i][2])])
+    medians = []
+    for i, (ranks, first, _) in enumerate(middle):
+        before = below[i, first - 1] if first > 0 else 0
+        medians.append(np.sort(np.concatenate(chosen[i]))[ranks - before].mean())
+    return np.array(medians)
+
+
+def _bins(sizes: Array) -> Array:
+    return np.ascontiguousarray(sizes).view(np.int64) >> BIN_SHIFT

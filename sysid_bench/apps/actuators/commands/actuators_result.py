@@ -1,25 +1,33 @@
 """Result of an identification of actuators: its fields and their text."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import SIGNED
+from sysid_bench.apps.actuators.commands.file_ranges import percent_text, unit_ratios
+from sysid_bench.apps.actuators.commands.servo_result import (
+    MORE_NAMES,
+    finite,
+    servo_lines,
+    value_text,
+)
 from sysid_bench.apps.actuators.drive_estimate import (
     DriveEstimate,
-    identify_drives,
-    repeat_covariance,
 )
-from sysid_bench.apps.actuators.drive_experiment import rollout_fields
-from sysid_bench.apps.actuators.drive_rows import LEAST, UNKNOWNS, DriveRows
-from sysid_bench.apps.actuators.gain_profile import GainProfile
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
+from sysid_bench.apps.actuators.position_baselines import (
+    REPETITION,
+    PositionBaselines,
+    rollout_fields,
+)
 from sysid_bench.commands.identify_result import KNOWN, IdentifyResult
 from sysid_bench.commands.result import OMIT_NONE
 from sysid_bench.errors import SHOWN, first_names
 from sysid_bench.evaluation.baselines import COMMAND, FILE, WORDS, Baselines
-from sysid_bench.evaluation.intervals import confidence_level, level_text, new_value_interval
+from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 
@@ -27,26 +35,11 @@ CONFOUNDED: Final = (
     "delay and armature cannot be separated from this recording; record one more run with kd halved"
 )
 SILENT: Final = "the commands do not change, so they say nothing of the delay"
-RATIOS: Final = (
-    "these recordings do not determine the gain, so that all values are ratios to the stated kp: "
-    "postures under more gravity, a known mass at the tool (payload), or measured torques would"
-)
-"""Of position commands alone."""
-BACKLASH: Final = (
-    "of which backlash is at most all: position commands do not separate it from Coulomb friction"
-)
-MORE_NAMES: Final = {
-    "gain": "torque over that of the stated gains",
-    "bias": "position less that of the encoder (rad, m)",
-    "load": "friction over the torque of the links",
-}
+OF_JOINT: Final = {
+    "rollout_null": FILE, "rollout_command": COMMAND, "rollout_floor": REPETITION
+}  # fmt: skip
+"""Fields of a joint beside its rollout."""
 WIDTHS: Final = (15, 15, 15, 17)
-FILES: Final = 3
-"""Recordings from which on deviations are those between files."""
-LIMITS: Final = {
-    "files": "between the values of single files",
-    "residuals": "from blocks of the residuals: repeated runs scatter more (give several --log)",
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -55,18 +48,26 @@ class ActuatorsResult(IdentifyResult):
 
     `joints`: {joint: Ia (kg m^2), fv (N m s/rad), fc (N m), offset (N m); `at_bound`: terms on
     their bound of zero; std, None on a bound; `rollout` (rad): RMS error in the simulation of the
-    judged samples; `torque_error`: there, of the RMS torque, None for joints with hardly any};
+    judged samples, `rollout_null`, `rollout_command` and `rollout_floor` those of the values of the
+    file, of the commands and of the repeated motion; `torque_error`: there, of the RMS torque, None
+    for joints with hardly any};
     with `also`, gain, bias and load as well; units of slides: kg, N s/m, N, m. `delay` (s) with its
     `delay_interval` for an exact model, and `delay_open`: the error that residuals as large as
     these allow, None where commands do not change. `confounded`: {parameters, direction: changes
     that the data hardly notice}. `profile`: {delay, loss, Ia, fv, fc: medians over the joints}.
-    `files`: mean, deviation between files and 95 % interval of a new file. `judged`: recordings,
+    `files`: mean, deviation between files and 95 % interval of a new file, from zero to the value
+    of the model file at least where one is on its bound; `units`: deviations between robots and
+    between files of one, where logs name their robots (`serial`). `judged`: recordings,
     periods and errors of the rollout. `covariance`: of each joint's values and the delay, between
     files from three on. `motors`: of joints that name one, its `name`, and `armature` with `std`, a
     prior of the fit. `gains` (with `also`): {joints, gain over the stated one, low, high;
     determined} of joints that share one. `lost_motion` (rad, m): {joint: {width of the hysteresis
-    between position and command, 2 fc / kp; std}}. `configurations`: texts for "mjlab",
-    "isaaclab" and "usd" (JSON).
+    between position and command, 2 fc / kp, and twice a dead band; std; backlash: interval}}.
+    `limits` (with `also`): tests of each limit of the servo {term, joint, value, ratio of the
+    errors of both halves, kept}. `resolution` (rad, m): step of the recorded positions of joints
+    that have one. `magnitude`: {joint: {factor: N m (N) over the recorded size, correlation}} of
+    the torques that the answer predicts. `configurations`: texts for "mjlab", "isaaclab" and "usd"
+    (JSON).
     """
 
     delay: float
@@ -82,7 +83,10 @@ class ActuatorsResult(IdentifyResult):
     seconds: float
     motors: dict[str, dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
     gains: list[dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
-    lost_motion: dict[str, dict[str, float]] | None = field(default=None, metadata=OMIT_NONE)
+    lost_motion: dict[str, dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
+    limits: list[dict[str, Any]] | None = field(default=None, metadata=OMIT_NONE)
+    resolution: dict[str, float] | None = field(default=None, metadata=OMIT_NONE)
+    magnitude: dict[str, dict[str, float]] | None = field(default=None, metadata=OMIT_NONE)
 
     def summary(self) -> str:
         """Values of the joints, delay, what is confounded or on a bound, ranges, rollout."""
@@ -92,20 +96,22 @@ class ActuatorsResult(IdentifyResult):
             f"  task {self.task}, {self.estimator}: {self.parameters} values of "
             f"{len(self.joints)} joints from {self.seconds:.1f} s, links of the model file",
             *self._delay_lines(),
-            f"  {'joint':18} {'Ia':>15} {'fv':>15} {'fc':>15} {'offset':>17}  rollout  torque",
+            f"  {'joint':18} {'Ia':>15} {'fv':>15} {'fc':>15} {'offset':>17}  rollout  command    "
+            "file  torque",
         ]
         for name, joint in self.joints.items():
-            words = [_value_text(joint, term) for term in UNKNOWNS]
+            words = [value_text(joint, term) for term in UNKNOWNS]
             values = " ".join(f"{word:>{width}}" for word, width in zip(words, WIDTHS, strict=True))
-            rollout, error = joint["rollout"], joint["torque_error"]
-            position = "      -" if rollout is None else f"{1e3 * rollout:7.2f}"
+            errors = [joint.get(x) for x in ("rollout", "rollout_command", "rollout_null")]
+            position = "  ".join("      -" if x is None else f"{1e3 * x:7.2f}" for x in errors)
+            error = joint["torque_error"]
             share = "     -" if error is None else f"{100 * error:5.1f}%"
             lines.append(f"  {name:18} {values}  {position}  {share}")
         lines.append(f"  ±: one standard deviation, {self.std_limit}")
         for term in (term for term in self.terms if term in MORE_NAMES and term != "gain"):
-            texts = [f"{name} {_value_text(joint, term)}" for name, joint in self.joints.items()]
+            texts = [f"{name} {value_text(joint, term)}" for name, joint in self.joints.items()]
             lines.append(f"  {MORE_NAMES[term]}: {', '.join(texts)}")
-        lines += [*map(gain_text, self.gains or ()), *self._lost_motion_lines()]
+        lines += servo_lines(self)
         return "\n".join([*lines, *self._source_lines(), *self._closing_lines()])
 
     def _first_line(self) -> str:
@@ -114,6 +120,7 @@ class ActuatorsResult(IdentifyResult):
         sure = sum(std is not None and std < KNOWN * abs(value) for value, std in values)
         known = f"{self.model}: {sure} of {len(values)} values are known within 10 %"
         positions = {"null": WORDS[FILE], "command": WORDS[COMMAND]}
+        positions["floor"] = "the motion that the training repeats"
         found = {x: self.scores.get(f"rollout_error_{key}") for key, x in positions.items()}
         texts = [f"{words} {1e3 * x:.2f}" for words, x in found.items() if x is not None]
         if texts and self.rollout_error is not None:
@@ -125,17 +132,6 @@ class ActuatorsResult(IdentifyResult):
             return f"{known}."
         error = 100 * self.scores["torque_error"]
         return f"{known}. Torques err by {error:.3g} % ({WORDS[FILE]} {100 * null:.3g} %)."
-
-    def _lost_motion_lines(self) -> Iterator[str]:
-        """Width of the hysteresis of each joint."""
-        widest = sorted((self.lost_motion or {}).items(), key=lambda item: -item[1]["width"])
-        texts = [
-            f"{name} {1e3 * one['width']:.3g} ± {1e3 * one['std']:.1g}"
-            for name, one in widest[:SHOWN]
-        ]
-        if texts:
-            more = "" if len(widest) <= SHOWN else "; others: --json"
-            yield f"  lost motion 2 fc / kp in mrad (mm), {BACKLASH}: {', '.join(texts)}{more}"
 
     def _delay_lines(self) -> Iterator[str]:
         """The delay, and what is confounded with it."""
@@ -177,11 +173,16 @@ class ActuatorsResult(IdentifyResult):
                 "  on the lower bound, zero or a tenth of the model file's, so no estimates: "
                 f"{first_names(named, SHOWN)}{against}"
             )
+        if units := (self.files or {}).get("units"):
+            yield (
+                "  median deviation between robots of one type over that between files of one: "
+                f"{unit_ratios(units)}"
+            )
         if self.files is not None:
             yield (
                 f"  between {self.files['count']} files, each fitted by itself: median deviation "
-                f"in % of the mean: {_percent(self.files['joints'])}; {level_text()} ranges of a "
-                "new file: --json"
+                f"in % of the mean: {percent_text(self.files['joints'])}; {level_text()} ranges of "
+                "a new file: --json"
             )
         for one in self.judged if self.rollout_error is not None else ():
             yield (
@@ -225,32 +226,6 @@ def _written_line(written: Mapping[str, Any]) -> str:
     gap, reason = written["gap"], written["reason"]
     again = f"not checked: {reason}" if gap is None else f"differs by {gap:.1e} rad (m)"
     return f"  model: {written['file']}; simulation by MuJoCo alone {again}"
-
-
-def _value_text(joint: Mapping[str, Any], term: str) -> str:
-    if term in joint["at_bound"]:
-        return f"{joint[term]:.3g} (bound)"
-    return f"{joint[term]:.3g} ± {joint['std'][term]:.1g}"
-
-
-def gain_text(one: Mapping[str, Any]) -> str:
-    """Return the line of the gain of joints that share one."""
-    names = first_names(one["joints"], SHOWN)
-    if not one["determined"]:
-        return f"  gain of {names}: {RATIOS}"
-    return (
-        f"  {MORE_NAMES['gain']}: {one['gain']:.3g} ({one['low']:.3g} to {one['high']:.3g} if "
-        f"the model is exact), one of {names}"
-    )
-
-
-def _percent(joints: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
-    """Median over the joints of the deviation between files over the mean, term by term."""
-    words = []
-    for term in UNKNOWNS:
-        shares = [abs(j[term]["std"] / j[term]["mean"]) for j in joints.values() if j[term]["mean"]]
-        words.append(f"{term} {100 * sorted(shares)[len(shares) // 2]:.2g}" if shares else term)
-    return ", ".join(words)
 
 
 # --- Fields -------------------------------------------------------------------------------------
@@ -299,35 +274,11 @@ def motor_fields(log: Log, found: DriveEstimate) -> dict[str, dict[str, Any]]:
     }
 
 
-def gain_fields(profiles: Sequence[GainProfile], joints: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the gains with their intervals by the names of their joints."""
-    return [
-        {
-            "joints": [joints[j] for j in one.joints],
-            "gain": one.gain,
-            "low": _finite(one.interval[0]),
-            "high": _finite(one.interval[1]),
-            "determined": not one.is_open,
-        }
-        for one in profiles
-    ]
-
-
-def lost_motion_fields(found: DriveEstimate, kp: Array) -> dict[str, dict[str, float]]:
-    """Return the widths of the hysteresis between position and command for the last kp (k,)."""
-    acting = kp * found.other_values.get("gain", np.ones(len(kp)))
-    width, std = 2.0 * found.fit.values[:, 2] / acting, 2.0 * found.fit.std[:, 2] / acting
-    return {
-        name: {"width": float(w), "std": float(s)}
-        for name, w, s in zip(found.rows.joints, width, std, strict=True)
-    }
-
-
 def joint_fields(
-    found: DriveEstimate, squares: Array | None, torque: Array
+    found: DriveEstimate, squares: Array | None, against: PositionBaselines, torque: Array
 ) -> dict[str, dict[str, Any]]:
     """Return values, deviations and errors of each joint: squared ones (n, k) of the positions,
-    relative ones `torque` (k,), NaN where there is none."""
+    beside those without an identification; relative ones `torque` (k,), NaN where there is none."""
     fit, std, names = found.fit, found.std, (*UNKNOWNS, *found.rows.more)
     positions = None if squares is None else np.sqrt(squares.mean(axis=0))
     return {
@@ -335,97 +286,14 @@ def joint_fields(
             **dict(zip(UNKNOWNS, fit.values[j].tolist(), strict=True)),
             **{term: float(x[j]) for term, x in found.other_values.items()},
             "at_bound": [UNKNOWNS[i] for i in np.flatnonzero(fit.at_bound[j])],
-            "std": dict(zip(names, map(_finite, [*std[j], *fit.more_std[j]]), strict=True)),
+            "std": dict(zip(names, map(finite, [*std[j], *fit.more_std[j]]), strict=True)),
             "rollout": None if positions is None else float(positions[j]),
-            "torque_error": _finite(float(torque[j])),
+            **{
+                key: float(against.joints[x][j])
+                for key, x in OF_JOINT.items()
+                if x in against.joints
+            },
+            "torque_error": finite(float(torque[j])),
         }
         for j, name in enumerate(found.rows.joints)
-    }
-
-
-def _finite(x: float) -> float | None:
-    return x if np.isfinite(x) else None
-
-
-def covariance_fields(joints: Sequence[str], covariance: Array) -> dict[str, Any]:
-    """Return covariances (k, 5, 5) of values and delay by joint, for ranges drawn jointly."""
-    return {
-        "of": [*UNKNOWNS, "delay"],
-        "joints": dict(zip(joints, covariance.tolist(), strict=True)),
-    }
-
-
-def file_fields(
-    singles: Sequence[DriveRows],
-    shared: Sequence[str],
-    delay: float | None,
-    answer: Mapping[str, dict[str, Any]],
-) -> dict[str, Any]:
-    """Return the ranges between recordings, each fitted by itself; from FILES of them on these are
-    the deviations of the joints of the `answer`. Nothing for one recording."""
-    if len(singles) < 2:
-        return {}
-    files = _between(singles, [identify_drives(rows, shared, delay) for rows in singles])
-    # Two files give a range, and hardly a deviation: that of the residuals stays.
-    if len(singles) < FILES:
-        return {"files": files}
-    between = {
-        name: {**joint, "std": {term: one["std"] for term, one in files["joints"][name].items()}}
-        for name, joint in answer.items()
-    }
-    return {
-        "files": files,
-        "joints": between,
-        "covariance": files["covariance"],
-        "std_from": "files",
-        "std_limit": LIMITS["files"],
-    }
-
-
-def _between(singles: Sequence[DriveRows], fits: Sequence[DriveEstimate]) -> dict[str, Any]:
-    """Ranges of values and delay between the fits of single files, and their covariance."""
-    joints, terms = singles[0].joints, (*UNKNOWNS, *singles[0].more)
-    usual, delays = np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
-    more = [np.array([x.other_values[name] for x in fits])[..., None] for name in singles[0].more]
-    ranges = _ranges(np.concatenate([usual, *more], axis=2))
-    by_joint = {
-        name: {
-            term: {key: float(x[j, i]) for key, x in ranges.items()} for i, term in enumerate(terms)
-        }
-        for j, name in enumerate(joints)
-    }
-    words = dict(zip(UNKNOWNS[:SIGNED], ("armature", "damping", "frictionloss"), strict=True))
-    held = np.any([x.fit.at_bound for x in fits], axis=0)
-
-    def range_of(j: int, term: str) -> list[float]:
-        """Range of an attribute of MJCF, cut at zero; of a value on its bound to the file's."""
-        low, high = (by_joint[joints[j]][term][end] for end in ("low", "high"))
-        i = UNKNOWNS.index(term)
-        if held[j, i] and singles[0].low is not None:
-            high = max(high, float(singles[0].low[j, i]) / LEAST)
-        return [max(low, 0.0), max(high, 0.0)]
-
-    return {
-        "covariance": covariance_fields(joints, repeat_covariance(usual, delays)),
-        "count": len(fits),
-        "share": confidence_level(),
-        "joints": by_joint,
-        "delay": {key: float(x) for key, x in _ranges(delays).items()},
-        "mjcf": {
-            name: {word: range_of(j, term) for term, word in words.items()}
-            for j, name in enumerate(joints)
-        },
-    }
-
-
-def _ranges(values: Array) -> dict[str, Array]:
-    """Mean and deviation (...) of the values of n files (n, ...), and the ends of the range of a
-    new one."""
-    # Of a new file, not of the mean: the next robot, day or floor scatters as these did.
-    low, high = new_value_interval(values)
-    return {
-        "mean": values.mean(axis=0),
-        "std": values.std(axis=0, ddof=1),
-        "low": low,
-        "high": high,
     }

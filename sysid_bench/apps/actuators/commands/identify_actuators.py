@@ -11,24 +11,26 @@ import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import holds
 from sysid_bench.apps.actuators.commands.actuators_result import (
-    LIMITS,
     ActuatorsResult,
     baseline_scores,
-    covariance_fields,
     delay_fields,
-    file_fields,
-    gain_fields,
     joint_fields,
     judged_result,
-    lost_motion_fields,
     motor_fields,
+)
+from sysid_bench.apps.actuators.commands.file_ranges import LIMITS, covariance_fields, file_fields
+from sysid_bench.apps.actuators.commands.servo_result import (
+    gain_fields,
+    limit_fields,
+    lost_motion_fields,
+    magnitude_fields,
+    resolution_fields,
 )
 from sysid_bench.apps.actuators.drive_estimate import (
     DriveEstimate,
     identify_drives,
     identify_recordings,
 )
-from sysid_bench.apps.actuators.drive_experiment import position_baselines
 from sysid_bench.apps.actuators.drive_part import (
     DrivePart,
     drive_manifest,
@@ -44,7 +46,9 @@ from sysid_bench.apps.actuators.drive_rows import (
     pooled_rows,
 )
 from sysid_bench.apps.actuators.gain_profile import stated_gains
+from sysid_bench.apps.actuators.position_baselines import PositionBaselines, position_baselines
 from sysid_bench.apps.actuators.rollout import FITTED, missing_simulation, simulated_positions
+from sysid_bench.apps.actuators.servo_limits import LimitTest, servo_values, tested_limits
 from sysid_bench.apps.actuators.written_model import (
     JointSettings,
     largest_difference,
@@ -74,6 +78,8 @@ from sysid_bench.types import Array
 METHOD: Final = "bounded least squares"
 MISSTATED: Final = 2.0
 """Factor by which stated gains are named wrong: within it torque constants and links may be."""
+SERVO_LIMITS: Final = "limits"
+"""Word of --also for limits of position controllers, which data keep or drop."""
 REPEATED: Final = 1e-6
 """rad, m; a written file whose simulated positions differ by more is not the identified robot."""
 NO_USE: Final = (
@@ -112,8 +118,14 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
         return [drive_rows(p.robot, p.log, joints, p.rows, more, bias) for p in parts]
 
     found = identify_recordings(lambda b: pooled_rows(single_rows(b)), request.share, delay)
+    limits: tuple[LimitTest, ...] = ()
+    if SERVO_LIMITS in request.also:
+        _check_simulated(parts[0])
+        limits = tested_limits(parts, found, request.share)
+        rows = replace(found.rows, servo=servo_values(limits))
+        found = identify_drives(rows, request.share, delay)
     # Judged on what was not fitted: residuals of the fit say little of a rollout.
-    errors = _DriveErrors(found, judged)
+    errors = _DriveErrors(found, judged, parts)
     result = ActuatorsResult(
         model=manifest.name,
         file=str(manifest.path),
@@ -122,11 +134,14 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
         warnings=[*_base_warnings(training[0].base is not None, is_floating),
                   *_warnings(parts, errors)],
         **_fields(parts, errors),
+        limits=limit_fields(limits, found) or None,
     )  # fmt: skip
     result = judged_result(result, errors.baselines, WORSE in request.accept)
     # At the bias of all files: their values then differ by the recordings alone.
     singles = single_rows(found.rows.bias) if len(parts) > 1 else []
-    result = replace(result, **file_fields(singles, request.share, delay, result.joints))
+    singles = [replace(rows, servo=found.rows.servo) for rows in singles]
+    serials = [part.log.description.serial for part in parts]
+    result = replace(result, **file_fields(singles, request.share, delay, result.joints, serials))
     result = replace(result, configurations=_configurations(result, found, judged[0]))
     return result if model_out is None else _with_model(result, model_out, found, judged[0])
 
@@ -153,9 +168,20 @@ def _unknowns(request: Identify, joints: Sequence[str]) -> tuple[str, ...]:
             advice = "Give words that the names of joints hold, or patterns such as '*_knee'."
             raise unknown_name("word of --share", word, joints, advice)
     for name in request.also:
-        if name not in MORE:
-            raise unknown_name("unknown of --also", name, MORE)
+        if name not in (*MORE, SERVO_LIMITS):
+            raise unknown_name("unknown of --also", name, (*MORE, SERVO_LIMITS))
     return tuple(name for name in MORE if name in request.also)
+
+
+def _check_simulated(part: DrivePart) -> None:
+    """Raise UsageError where no positions are simulated, by which limits are judged."""
+    reason = missing_simulation(part.robot)
+    if part.log.commands is None:
+        reason = "the torque was measured, so that no commands are known"
+    if reason:
+        raise UsageError(
+            f"--also {SERVO_LIMITS}: limits are judged by simulated positions, but {reason}."
+        )
 
 
 def _check_targets(request: Identify, robot: RobotModel) -> Path | None:
@@ -182,10 +208,12 @@ def _check_targets(request: Identify, robot: RobotModel) -> Path | None:
 
 @dataclass(frozen=True, eq=False)
 class _DriveErrors:
-    """Errors (k,) of identified actuators on parts that were not fitted."""
+    """Errors (k,) of identified actuators on parts that were not fitted, beside those of
+    `training`."""
 
     found: DriveEstimate
     parts: Sequence[DrivePart]
+    training: Sequence[DrivePart]
 
     @property
     def reason(self) -> str:
@@ -209,7 +237,8 @@ class _DriveErrors:
         """Rows of all parts."""
         of = self.found.rows
         return pooled_rows([
-            drive_rows(p.robot, p.log, of.joints, p.rows, of.more, of.bias) for p in self.parts
+            replace(drive_rows(p.robot, p.log, of.joints, p.rows, of.more, of.bias), servo=of.servo)
+            for p in self.parts
         ])  # fmt: skip
 
     def torque_rms(self, factors: Array) -> tuple[Array, Array]:
@@ -228,11 +257,16 @@ class _DriveErrors:
         return np.asarray(np.divide(error, torque, out=np.full_like(error, np.nan), where=loaded))
 
     @cached_property
+    def positions(self) -> PositionBaselines:
+        """Errors of positions without an identification, joint by joint."""
+        return position_baselines(list(self.position_errors), self.found, self.training)
+
+    @cached_property
     def baselines(self) -> Baselines:
         """Baselines that an answer has to beat: of positions, or of torques where none are
         simulated."""
         if self.position_errors:
-            return position_baselines(list(self.position_errors), self.found)
+            return self.positions.baselines
         own = model_values(self.parts[0].robot, self.found.rows.joints)
         null = known_rms(x if np.isfinite(x) else None for x in self.torque_ratio(own).tolist())
         return Baselines(({} if null is None else {FILE: null}) | {ZERO: ZERO_TORQUE})
@@ -267,7 +301,7 @@ def _fields(parts: Sequence[DrivePart], judged: _DriveErrors) -> dict[str, Any]:
         "estimator": METHOD,
         "scores": scores,
         **delay_fields(found),
-        "joints": joint_fields(found, squares, ratio),
+        "joints": joint_fields(found, squares, judged.positions, ratio),
         "covariance": covariance_fields(names, found.covariance),
         "judged": [
             {
@@ -284,6 +318,8 @@ def _fields(parts: Sequence[DrivePart], judged: _DriveErrors) -> dict[str, Any]:
         "motors": motor_fields(parts[0].log, found) or None,
         "gains": gain_fields(found.gains, names) or None,
         "lost_motion": None if commands is None else lost_motion_fields(found, commands.kp[-1]),
+        "resolution": resolution_fields(parts[0].log) or None,
+        "magnitude": magnitude_fields(found, parts) or None,
     }
 
 
@@ -296,6 +332,7 @@ def _configurations(
         return {}
     commands = found.drives.apply(part.log.commands.of(result.rows))
     limits, kinds = torque_limits(part.robot, commands), scalar_kinds(part.robot)
+    speeds = found.rows.servo.get("speed-limit", np.full(len(limits), np.inf))
     settings = {
         name: JointSettings(
             kp=float(commands.kp[-1, j]),
@@ -305,6 +342,7 @@ def _configurations(
             damping=joint["fv"],
             friction=joint["fc"],
             slides=kinds[name] == "slide",
+            speed=float(speeds[j]),
         )
         for j, (name, joint) in enumerate(result.joints.items())
     }
@@ -386,6 +424,8 @@ def _with_model(
         reason = "the file may hold the base"
     elif robot.payload_body is not None:
         reason = "the file has no payload"
+    elif lacking := [x for x in ("speed-limit", "dead-band") if x in found.rows.servo]:
+        reason = f"MJCF has no {' and no '.join(lacking)} of position controllers"
     gap, warnings = None, result.warnings
     if not reason:
         again = replay_positions(target, found.drives.apply(commands), judged.rows)
