@@ -50,7 +50,7 @@ def scale_contradiction(
     if fit is None or q.shape != tau.shape:
         return ""
     score, slopes, _ = fit.follows(tau)
-    is_below = bool(len(slopes)) and 0 < slopes.min() and slopes.max() < _SLOPES[0]
+    is_below = bool(len(slopes)) and slopes.min() > 0 and slopes.max() < _SLOPES[0]
     if score < FOLLOWS or is_torque_scale(slopes) or (sure and not is_below):
         return ""
     by_model = ""

@@ -346,8 +346,10 @@ def test_a_gain_is_no_load(tmp_path: Path, factor: float, joint: int | None) -> 
     tau = log.tau.copy()
     tau[:, slice(None) if joint is None else joint] *= factor
     found = contradictions(evidence(tmp_path, replace(log, tau=tau), named_robot("tx40")))
-    # The torque of the wrist of this arm is friction: ten times it is a larger friction.
-    assert [one.name for one in found] == ([] if joint == 4 else ["gain"])
+    # The torque of the wrist of this arm is friction: ten times it is a larger friction. Torques
+    # that are all too small may be currents.
+    names = [one.name for one in found if one.name != "current"]
+    assert names == ([] if joint == 4 else ["gain"])
 
 
 def test_a_gain_that_few_samples_leave_open_is_not_named(tmp_path: Path) -> None:
