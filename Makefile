@@ -21,7 +21,7 @@ GATED := smoke terminal agnostic
 install: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt .cmake/CMakeLists.txt sysid_bench/regressors/kernel.c \
-		sysid_bench/simulation/steps.c
+		sysid_bench/simulation/steps.c sysid_bench/simulation/lanes.c
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -c constraints.txt -e ".[dev]"
 	touch $@
@@ -139,6 +139,6 @@ $(DOCS_STAMP): $(STAMP)
 
 clean:
 	find .cmake -mindepth 1 ! -name CMakeLists.txt ! -name .gitignore -delete
-	rm -f sysid_bench/regressors/libregressor.* sysid_bench/simulation/libsteps.*
+	rm -f sysid_bench/regressors/libregressor.* sysid_bench/simulation/libsteps.* sysid_bench/simulation/liblanes.*
 	rm -rf build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks $(STAMP) $(DOCS_STAMP)
 	find sysid_bench tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -48,6 +48,13 @@ _ACCURACY: Final = (
            needs=("held-out",), formula="of predicting the mean torque of the training"),
     Metric("torque_error_floor", "Relative error of the training torque, played again",
            better="lower", needs=("held-out",), formula="where a test repeats the training motion"),
+    Metric("torque_error_best", "Least relative torque error of the model on the tests",
+           better="lower", needs=("held-out",),
+           formula="of the base parameters that fit the tests themselves"),
+    Metric("gap_closed", "Share of the gap between null model and floor that is closed",
+           better="higher", needs=("held-out",), shown=True,
+           formula="(null - error) / (null - floor), floor the smaller of torque_error_floor and "
+           "torque_error_best; absent where it is not below the null"),
     Metric("beaten_by", "Baselines with a smaller error", text=True, needs=("held-out",),
            formula="file-friction (file: values of the model file), mean-torque, zero-torque; of "
            "positions file, position-command"),
@@ -112,6 +119,7 @@ _DATA: Final = (
     Metric("standstill", "Share of rows left out at standstill"),
     Metric("plant_step", "Step of the plant", "s"),
     Metric("candidate_step", "Step of candidate models", "s"),
+    Metric("candidate_simulator", "What simulates candidate models"),
     Metric("same_simulator", "Plant and candidate models with one step and integrator"),
     Metric("q_margin", "Share of the position limits left", better="higher",
            formula="smallest over all motions and joints; negative beyond a limit"),

@@ -17,7 +17,7 @@ from numpy._core._multiarray_umath import (  # type: ignore[import-not-found]
     __cpu_features__,
 )
 
-from sysid_bench.regressors.kernel_c import VARIABLE
+from sysid_bench.instruction_sets import VARIABLE
 
 _AVX2: Final = ("X86_V3", "AVX2", "FMA3")
 """Names of the instruction set in versions of NumPy."""

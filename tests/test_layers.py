@@ -19,7 +19,8 @@ from tests.syntax import FILES, ROOT, nodes
 PACKAGE = "sysid_bench"
 
 BASE = frozenset((
-    "canonical_json", "csv_text", "errors", "extras", "input_files", "metrics", "numerics",
+    "canonical_json", "csv_text", "errors", "extras", "input_files", "instruction_sets",
+    "metrics", "numerics",
     "package_folders", "plugin_names", "spatial", "types", "units", "version_fields", "words",
 ))  # fmt: skip
 TOP = frozenset((

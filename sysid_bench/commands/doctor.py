@@ -26,11 +26,14 @@ class Doctor(Request["DoctorResult"]):
         from sysid_bench.regressors.kernel_c import select_kernel
         from sysid_bench.reporting.view import rerun_tool
         from sysid_bench.simulation.compiled_steps import steps_library
+        from sysid_bench.simulation.plant_batch import lanes_library
         from sysid_bench.version_fields import environment
 
         kernel, steps, latex = select_kernel(), steps_library(), shutil.which("pdflatex")
         no_latex = "absent: LaTeX tables are still written, but no test compiles them here"
         stepping = f"Python: {steps}" if isinstance(steps, str) else "compiled"
+        lanes = lanes_library()
+        batches = f"MuJoCo: {lanes}" if isinstance(lanes, str) else f"compiled, {lanes[1]}"
         checks = [
             _packages(),
             _second_engine(),
@@ -41,6 +44,7 @@ class Doctor(Request["DoctorResult"]):
             _Check("pdflatex", latex is not None, latex or no_latex, needed=False),
             _Check("regressor kernel", kernel.library is not None, str(kernel), needed=False),
             _Check("simulation steps", not isinstance(steps, str), stepping, needed=False),
+            _Check("batched simulation", not isinstance(lanes, str), batches, needed=False),
         ]
         ok = all(check.ok for check in checks if check.needed)
         return DoctorResult(ok, environment(), [asdict(check) for check in checks])

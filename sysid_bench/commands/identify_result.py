@@ -41,7 +41,8 @@ from sysid_bench.words import INTERVAL_LIMITS
 REPORTED: Final = (
     *("rank", "rank_gap", "near_degenerate", "data_rank", "parameters", "condition"),
     *("condition_unit", "rmse_train", "rmse_test"),
-    *("torque_error", "torque_error_null", "torque_error_mean", "torque_error_floor", "beaten_by"),
+    *("torque_error", "torque_error_null", "torque_error_mean", "torque_error_floor"),
+    *("torque_error_best", "gap_closed", "beaten_by"),
     *("feasible", "converged", "iterations", "simulations", "stop"),
 )
 """Fields of the row of any identification that its result has as well."""
@@ -170,6 +171,7 @@ class IdentifyResult(Result):
         known = {words: self.scores.get(f"torque_error_{key}") for words, key in errors.items()}
         known |= {WORDS[ZERO]: ZERO_TORQUE}
         known |= {"the training torque, played again": self.scores.get("torque_error_floor")}
+        known |= {"the model fitted to these motions": self.scores.get("torque_error_best")}
         texts = [f"{words} {100 * e:.3g} %" for words, e in known.items() if e is not None]
         return f"Torques of other motions err by {100 * error:.3g} % ({', '.join(texts)})"
 

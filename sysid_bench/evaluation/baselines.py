@@ -1,15 +1,20 @@
 """Baselines of an answer: predictions of the test without an identification.
 
 The null model takes the bodies as the model file has them (of a simulated robot: as its prior) and
-fits joint terms alone; trivial are zero torque and the mean torque of the training. The floor is
-what no model of the state can be much better than: the training torque itself, played again.
+fits joint terms alone; trivial are zero torque and the mean torque of the training. Floors are what
+no answer can be better than: the same model fitted to the tests themselves, and hardly any model of
+the state: the training torque itself, played again.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from sysid_bench.evaluation.torque_errors import RowErrors, mean_torque_error
+from sysid_bench.evaluation.torque_errors import (
+    RowErrors,
+    least_torque_error,
+    mean_torque_error,
+)
 from sysid_bench.identification.estimators.bayesian import FileFriction, body_columns, file_values
 from sysid_bench.identification.identify import identify
 from sysid_bench.types import Array, Problem
@@ -40,11 +45,13 @@ WORDS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class Baselines:
-    """Errors of predictions on the tests by name, the null model first, and that of the repeated
-    motion; as `torque_error`, or of positions (rad, m)."""
+    """Errors of predictions on the tests by name, the null model first, that of the repeated motion
+    (`floor`) and of the model fitted to the tests (`best`); as `torque_error`, or of positions
+    (rad, m)."""
 
     errors: Mapping[str, float] = field(default_factory=dict)
     floor: float | None = None
+    best: float | None = None
 
     @property
     def null(self) -> float | None:
@@ -58,7 +65,18 @@ class Baselines:
             "torque_error_null": self.null,
             "torque_error_mean": self.errors.get(MEAN),
             "torque_error_floor": self.floor,
+            "torque_error_best": self.best,
         }
+
+    def gap_closed(self, error: float | None) -> float | None:
+        """Return the share of the way from the null model to the lower floor that an error has
+        gone, negative for one above the null model; None where no floor is below it."""
+        floors = [floor for floor in (self.floor, self.best) if floor is not None]
+        if error is None or self.null is None or not floors:
+            return None
+        # Errors of rounding size are equal.
+        way = self.null - min(floors)
+        return (self.null - error) / way if way > max(ROUNDING, 1e-6 * self.null) else None
 
     def text(self, names: Sequence[str]) -> str:
         """Return some of them in words, with their errors."""
@@ -81,7 +99,8 @@ def baselines(
     theta, name = _null_model(problem)
     null = None if theta is None else RowErrors(judged, problem.base.K @ theta).torque_error
     errors = {name: null, MEAN: mean_torque_error(problem, judged), ZERO: ZERO_TORQUE}
-    return Baselines({key: x for key, x in errors.items() if x is not None}, floor)
+    known = {key: x for key, x in errors.items() if x is not None}
+    return Baselines(known, floor, least_torque_error(judged))
 
 
 def _null_model(problem: Problem) -> tuple[Array | None, str]:

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sysid_bench.identification.linear.least_squares import residual_norm
+from sysid_bench.identification.linear.least_squares import residual_norm, stacked_factor
 from sysid_bench.types import Array, Problem
 
 SMALL_JOINT: Final = 0.01
@@ -162,6 +162,21 @@ class RowErrors:
     def largest(self) -> float | None:
         """Largest judged relative error."""
         return float(self.loaded_errors.max()) if len(self.loaded_errors) else None
+
+
+def least_torque_error(tests: Sequence[Problem]) -> float | None:
+    """Return the least `torque_error` that any base parameters have on the tests: that of those
+    which fit the tests themselves, each row divided by its RMS torque."""
+    judged = RowErrors(list(tests), np.zeros(tests[0].base.rank))
+    scale = judged.rms * np.sqrt(_all_counts(judged.problems))
+    # Rows that do not count in the error have no weight.
+    weights = np.where(judged.loaded_rows, 1.0 / np.where(scale > 0, scale, 1.0), 0.0).tolist()
+    R = np.concatenate([stacked_factor(test, weights) for test in tests])
+    norms = np.linalg.norm(R[:, :-1], axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    # Directions that the tests do not excite do not matter to them.
+    beta = np.linalg.lstsq(R[:, :-1] / norms, R[:, -1])[0] / norms
+    return RowErrors(judged.problems, beta).torque_error
 
 
 def torque_figures(

@@ -66,5 +66,7 @@ class ExperimentData(Generic[S_co]):
     def score(self, method: Any, estimate: Estimate) -> Row:
         """Fields of a row that depend on the estimate, and its `parameters_table`."""
         scores = self.source.score(self, method, estimate)
-        beaten = self.baselines.beaten_by(scores.get("torque_error"))
-        return {"beaten_by": ", ".join(beaten), **scores}  # a source may judge otherwise
+        error = scores.get("torque_error")
+        beaten = ", ".join(self.baselines.beaten_by(error))
+        # A source may judge otherwise.
+        return {"beaten_by": beaten, "gap_closed": self.baselines.gap_closed(error), **scores}

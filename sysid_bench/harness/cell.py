@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from math import isfinite
 from pathlib import PurePosixPath
 from typing import Any, Final
 
@@ -207,9 +208,17 @@ def cell_cost(spec: ExperimentSpec, estimator: Mapping[str, Any]) -> CellCost:
 
 
 def _number(written: Any, unit: str, default: float) -> float:
+    if not isinstance(written, str):
+        known = type(written) in (int, float) and isfinite(written)
+        return float(written) if known else default
+    return _number_of_text(written, unit, default)
+
+
+@cache
+def _number_of_text(text: str, unit: str, default: float) -> float:
     try:
-        return quantity(written, unit)
-    except (SysidBenchError, TypeError):  # a plug-in may use this key for something else
+        return quantity(text, unit)
+    except SysidBenchError:  # a plug-in may use this key for something else
         return default
 
 

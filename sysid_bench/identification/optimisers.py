@@ -5,7 +5,7 @@ and does not repeat bit for bit; that at the end of a number of simulations does
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
 from importlib import import_module
@@ -20,7 +20,7 @@ from sysid_bench.errors import (
     UnsupportedError,
     UsageError,
 )
-from sysid_bench.types import Array, Experiment
+from sysid_bench.types import Array, Experiment, Recording
 from sysid_bench.units import quantity
 
 _COUNT = re.compile(r"\s*(\d+)\s+simulations?\s*")
@@ -83,14 +83,43 @@ class BudgetUse:
         self.simulations += 1
 
     def with_count(self, simulate: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a simulation that counts its calls."""
+        """Return a simulation that counts its calls, and the candidates of `simulate_many`."""
 
         @wraps(simulate)
         def counted(*arguments: Any) -> Any:
             self.count()
             return simulate(*arguments)
 
+        def many(thetas: Sequence[Array]) -> Iterator[SimulatedRecording]:
+            outcomes = simulate_many(simulate, thetas)
+            for _ in thetas:
+                self.count()
+                yield next(outcomes)
+
+        vars(counted)["many"] = many
         return counted
+
+
+SimulatedRecording = Recording | EstimationError | SimulationError
+"""Recording of a candidate, or why it cannot be simulated."""
+
+
+def one_by_one(function: Callable[[Array], Any], points: Sequence[Array]) -> Iterator[Any]:
+    """Yield the value of a function at each point, or its EstimationError or SimulationError."""
+    for x in points:
+        try:
+            yield function(x)
+        except (EstimationError, SimulationError) as error:
+            yield error
+
+
+def simulate_many(
+    simulate: Callable[..., Recording], thetas: Sequence[Array]
+) -> Iterator[SimulatedRecording]:
+    """Return the recordings of many candidates theta (p,), or their errors, in order; at once where
+    the simulation has the function `many`."""
+    many = getattr(simulate, "many", None)
+    return one_by_one(simulate, thetas) if many is None else iter(many(thetas))
 
 
 FAR: Final = 1e3
@@ -100,15 +129,21 @@ STEP: Final = 1e-4
 """Finite-difference step of methods that need derivatives: simulations are exact to about 1e-8."""
 
 
+Residuals = Array | EstimationError | SimulationError
+"""Residuals (M,) of a point, or why it has none."""
+
+
 @dataclass(frozen=True, eq=False)
 class SimulatedCost:
     """|residuals(x)|^2, residuals (M,), of x (d,) between the bounds `low` and `high` (d,), from
-    `start` (d,). The residuals raise EstimationError or SimulationError where x has none."""
+    `start` (d,). The residuals raise EstimationError or SimulationError where x has none; `many`
+    yields those of each of several x, or its error."""
 
     residuals: Callable[[Array], Array]
     start: Array
     low: Array
     high: Array
+    many: Callable[[Sequence[Array]], Iterator[Residuals]] | None = None
 
 
 @dataclass(eq=False)
@@ -125,19 +160,26 @@ class Search:
     def evaluate(self, x: Array) -> Array:
         """Return the residuals (M,) at x (d,), large ones where it cannot be simulated.
 
-        Raises BudgetError where the budget is.
+        Raises BudgetError where the budget is spent.
         """
-        self.meter.count()
-        try:
-            found = self.cost.residuals(x)
-        except (EstimationError, SimulationError):
-            # A wall of finite height: an optimiser of squares turns back at it, and would stop at
-            # infinity.
-            return np.full_like(self.residuals, FAR * max(np.abs(self.residuals).max(), 1e-9))
-        value = float(found @ found)
-        if value < self.value:
-            self.best, self.residuals, self.value = x.copy(), found, value
-        return found
+        return next(self.evaluate_many([x]))
+
+    def evaluate_many(self, points: Sequence[Array]) -> Iterator[Array]:
+        """Yield the residuals (M,) at each point (d,), as `evaluate`."""
+        many = self.cost.many
+        outcomes = one_by_one(self.cost.residuals, points) if many is None else many(points)
+        for x in points:
+            self.meter.count()
+            found = next(outcomes)
+            if not isinstance(found, np.ndarray):
+                # A wall of finite height: an optimiser of squares turns back at it, and would stop
+                # at infinity.
+                yield np.full_like(self.residuals, FAR * max(np.abs(self.residuals).max(), 1e-9))
+                continue
+            value = float(found @ found)
+            if value < self.value:
+                self.best, self.residuals, self.value = x.copy(), found, value
+            yield found
 
 
 @dataclass(frozen=True)
@@ -190,14 +232,12 @@ def residual_jacobian(search: Search, x: Array, residuals: Array) -> Array:
     """Return the derivative (M, d) of the residuals (M,) at x (d,), with steps between the
     bounds."""
     search.iterations += 1
-    columns = []
-    for i in range(len(x)):
-        # Backwards at the upper bound, beyond which there may be nothing to simulate.
-        step = STEP if x[i] + STEP <= search.cost.high[i] else -STEP
-        further = x.copy()
-        further[i] += step
-        columns.append((search.evaluate(further) - residuals) / step)
-    return np.stack(columns, axis=1)
+    # Backwards at the upper bound, beyond which there may be nothing to simulate.
+    steps = np.where(x + STEP <= search.cost.high, STEP, -STEP)
+    found = search.evaluate_many(x + np.diag(steps))
+    return np.stack(
+        [(column - residuals) / step for column, step in zip(found, steps, strict=True)], axis=1
+    )
 
 
 def load_optimiser(name: str) -> Any:

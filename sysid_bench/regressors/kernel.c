@@ -41,7 +41,7 @@
 #else
 #define LANES 2
 #endif
-#ifdef FEW /* for calls with the samples of one vector, which would else compute a whole block */
+#ifdef FEW /* for calls with few samples, which would else compute a whole block */
 #define BLOCK LANES
 #else
 #define BLOCK 64 /* samples at once: a column is 512 bytes, the frames of an arm stay near */
@@ -765,9 +765,6 @@ static int64_t rows_of_tile(int64_t width)
     int64_t rows = TILE / (LANES * (width + 1));
     return rows > 0 ? rows : 1;
 }
-
-/* Samples of one vector. */
-EXPORT int64_t LEVELLED(lanes)(void) { return LANES; }
 
 /* Bytes of work that the functions below need; `width`: columns of a dense row. */
 EXPORT int64_t LEVELLED(work)(const Tree *t, int64_t values, int64_t width)

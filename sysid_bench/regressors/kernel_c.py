@@ -6,7 +6,6 @@ used. If the library is missing, was compiled from another source or is switched
 """
 
 import ctypes
-import os
 import threading
 import time
 import weakref
@@ -18,8 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
-from sysid_bench.package_folders import c_library
+from sysid_bench.instruction_sets import LEVELS, levelled_library
 from sysid_bench.regressors.kernel_layout import Columns, KernelLayout, columns_layout
 from sysid_bench.types import Array, Trajectory
 
@@ -44,15 +42,11 @@ def kernel_times() -> float:
     return _SPENT.seconds
 
 
-VARIABLE: Final = "SYSID_BENCH_KERNEL"
-"""Environment variable that selects the kernel: `numpy`, `compiled` or one of `LEVELS`; unset, the
-fastest is used."""
-
-LEVELS: Final = {"x86-64-v4": "v4", "x86-64-v3": "v3", "baseline": "base"}
-"""Instruction sets, fastest first, with the suffix of the functions compiled for them: AVX-512,
-AVX2 with FMA, and the baseline of the architecture."""
-
 SOURCE: Final = Path(__file__).with_name("kernel.c")
+
+FEW: Final = 32
+"""Most samples for which the functions compiled for few samples are the faster ones (measured on
+each instruction set)."""
 
 
 @dataclass(frozen=True)
@@ -71,30 +65,11 @@ class KernelSelection:
 @cache
 def select_kernel() -> KernelSelection:
     """Return the kernel of this process; raises UsageError for an invalid environment variable."""
-    wanted = os.environ.get(VARIABLE, "")
-    if wanted not in ("", "numpy", "compiled", *LEVELS):
-        known = ", ".join(("numpy", "compiled", *LEVELS))
-        raise UsageError(f"{VARIABLE} is {wanted!r}; unset it, or use one of {known}.")
-    if wanted == "numpy":
-        return KernelSelection(None, f"selected by {VARIABLE}")
     try:
-        # The library for the wanted instruction set, or for the fastest of this machine.
-        dll = c_library(SOURCE, "libregressor", "kernel_source")
-        names = {
-            level: suffix for level, suffix in LEVELS.items() if hasattr(dll, f"work_{suffix}")
-        }
-        usable = [level for level, suffix in names.items() if dll.kernel_runs(suffix.encode())]
-        if wanted in LEVELS and wanted not in usable:
-            raise OSError(f"{wanted} is not supported by this machine; it has {', '.join(usable)}")
-        return KernelSelection(Library(dll, wanted if wanted in LEVELS else usable[0]))
+        library = levelled_library(SOURCE, "libregressor", "kernel_source")
+        return KernelSelection(Library(*library))
     except OSError as error:
         return KernelSelection(None, str(error))
-
-
-def usable_levels(dll: Any) -> list[str]:
-    """Return the instruction sets that the library and this processor have, fastest first."""
-    compiled = {name: suffix for name, suffix in LEVELS.items() if hasattr(dll, f"work_{suffix}")}
-    return [name for name, suffix in compiled.items() if dll.kernel_runs(suffix.encode())]
 
 
 class _Motion(ctypes.Structure):
@@ -147,35 +122,37 @@ class Library:
         q, v, a = (_contiguous(x) for x in (motion.q, motion.v, motion.a))
         span = _Motion(len(motion), *(x.ctypes.data for x in (q, v, a)))
         tree, plan = ctypes.byref(layout.tree), ctypes.byref(layout.plan)
-        few = len(motion) <= self._lanes
-        size = self._function("work", few)(tree, layout.size, width)
+        # The sums of a fold are those of whole blocks, however few samples there are.
+        few = len(motion) <= FEW and name != "fold"
+        size = self._functions["work", few](tree, layout.size, width)
         arguments = [_argument(x) for x in (*args, _workspace(size))]
-        function = self._function(name, few)
+        function = self._functions[name, few]
         start = time.thread_time()
         function(tree, plan, ctypes.byref(span), *arguments)
         count_kernel(start)
 
     @cached_property
-    def _lanes(self) -> int:
-        return int(self._function("lanes", False)())
-
-    def _function(self, name: str, few: bool) -> Any:
-        """Function of the library, as compiled for few samples or for blocks."""
-        function = getattr(self.dll, f"{name}_{LEVELS[self.level]}{'_few' if few else ''}")
-        if name == "work":
-            function.argtypes = (ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
-        function.restype = ctypes.c_int64 if name in ("work", "lanes") else None
-        return function
+    def _functions(self) -> dict[tuple[str, bool], Any]:
+        """Functions of the library by name, as compiled for few samples and for blocks."""
+        found, pointer, number = {}, ctypes.c_void_p, ctypes.c_int64
+        for few in (False, True):
+            suffix = LEVELS[self.level] + few * "_few"
+            for name in ("rows", "dense", "fold", "torque", "work"):
+                function = getattr(self.dll, f"{name}_{suffix}")
+                function.restype = number if name == "work" else None
+                found[name, few] = function
+            found["work", few].argtypes = (pointer, number, number)
+        return found
 
     def bound(self, layout: KernelLayout, motion: Trajectory, out: Array) -> Callable[[], None]:
         """Return `dense` with its arguments bound once, for contiguous arrays that the caller keeps
         and changes in place."""
         span = _Motion(len(motion), *(x.ctypes.data for x in (motion.q, motion.v, motion.a)))
         tree, plan = ctypes.byref(layout.tree), ctypes.byref(layout.plan)
-        few = len(motion) <= self._lanes
-        work = np.empty(self._function("work", few)(tree, layout.size, out.shape[2]), np.uint8)
+        few = len(motion) <= FEW
+        work = np.empty(self._functions["work", few](tree, layout.size, out.shape[2]), np.uint8)
         arguments = (tree, plan, ctypes.byref(span), *map(_argument, (layout.runs, out, work)))
-        run = partial(self._function("dense", few), *arguments)
+        run = partial(self._functions["dense", few], *arguments)
         # Addresses keep nothing alive.
         run.owned = (layout, motion, out, work)  # type: ignore[attr-defined]
         return run

@@ -14,8 +14,10 @@ from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import SUFFIX, JointTerms, RobotModel
 from sysid_bench.simulation.effects.presliding import StribeckLaw
-from sysid_bench.simulation.plant import Plant, coupling_law
+from sysid_bench.simulation.plant import Plant, coupling_law, plant_of
+from sysid_bench.simulation.plant_batch import uncovered
 from sysid_bench.simulation.tracking_control import TrackingControl
+from sysid_bench.simulation.tracking_model import INTEGRATORS
 from sysid_bench.spatial import quaternion_of_matrix
 from sysid_bench.types import Array, Body
 
@@ -58,6 +60,13 @@ class Candidate:
         law = StribeckLaw(np.concatenate([coulomb, *same]))
         terms = replace(plant.terms, coulomb=np.zeros_like(coulomb))
         return replace(plant, terms=terms, laws=(law, *plant.laws))
+
+    def simulator(self, robot: RobotModel) -> str:
+        """Return what simulates candidates of a robot: "lanes", or "mujoco" with the reason."""
+        # "auto" is one of two that are covered.
+        name = "euler" if self.integrator == "auto" else self.integrator
+        reason = uncovered(plant_of(robot), robot.mj, int(INTEGRATORS[name]))
+        return f"mujoco: {reason}" if reason else "lanes"
 
     def has_steps_of(self, simulation: TrackingControl, step: float) -> bool:
         """Return True where a plant with the time step `step` (s) under `simulation` may have the

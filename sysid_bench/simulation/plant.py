@@ -78,6 +78,13 @@ class Plant:
             mujoco.mj_setConst(mj, mujoco.MjData(mj))
         return mj
 
+    def check_terms(self) -> None:
+        """Raise EstimationError for negative joint terms, which cannot be simulated."""
+        for joint in self.robot.joints:
+            if joint.kind in ("hinge", "slide"):
+                for term in ("viscous", "coulomb", "armature"):
+                    _not_negative(term, getattr(self.terms, term)[joint.vadr], joint.name)
+
 
 def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
     """Return the plant of a robot with the given effects and its own joint terms."""

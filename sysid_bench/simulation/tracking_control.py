@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.compiled_steps import CompiledRun, run_steps
+from sysid_bench.simulation.compiled_steps import CompiledRun, Signals, run_steps
 from sysid_bench.simulation.model_errors import plant_controller
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
@@ -115,14 +115,8 @@ class TrackingControl:
 
         Raises SimulationError if the loop diverges or loses the commanded motion.
         """
-        robot = plant.robot
-        # MuJoCo replaces an input of NaN by zero, with only a warning.
-        check_finite(robot.name, encoder, "encoder error")
         mj = tracking_model(plant, controller, self.step_choice)
-        lead = 0 if robot.coupling is None and plant.transmission is None else LEAD_IN
-        whole = _with_lead_in(robot, commanded, lead)
-        encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
-        control = commands(controller, whole, encoder, robot)
+        whole, control = self.inputs(plant, controller, commanded, encoder)
         each: int = round((whole.t[1] - whole.t[0]) / mj.opt.timestep)
         drive = drive_of(plant, controller, self.step_choice, each)
         data = mujoco.MjData(mj)
@@ -130,21 +124,19 @@ class TrackingControl:
         signals = run_steps(
             CompiledRun(plant, mj, data, drive, t=whole.t, control=control, each=each)
         )
-        q, v, a, tau = (x[lead:] for x in (signals.q, signals.v, signals.a, signals.tau))
-        motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
-        for name, array in (("position", motion.q), ("acceleration", motion.a)):
-            check_finite(robot.name, array, f"{name} in closed loop")
-        _check_tracking(robot, commanded, motion, tau)
-        # Motion as encoders on the motors measure it; None where they measure that of the links
-        if plant.transmission is None or not plant.transmission.motor_side:
-            encoders = None
-        else:
-            q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-            dofs = plant.robot.torque_dofs
-            for x, motor in ((q, signals.motor_q), (v, signals.motor_v), (a, signals.motor_a)):
-                x[:, dofs] = motor[lead:]
-            encoders = Trajectory(motion.t, q, v, a, motion.name, motion.period)
-        return Oracle(motion, tau[:, robot.torque_dofs], encoders, mj.opt.timestep)
+        return oracle_of(plant, commanded, signals, mj.opt.timestep)
+
+    def inputs(
+        self, plant: Plant, controller: Controller, commanded: Trajectory, encoder: Array
+    ) -> tuple[Trajectory, Array]:
+        """Return the commanded motion with its lead-in, and the motors' inputs (N, n) along it."""
+        robot = plant.robot
+        # MuJoCo replaces an input of NaN by zero, with only a warning.
+        check_finite(robot.name, encoder, "encoder error")
+        lead = 0 if robot.coupling is None and plant.transmission is None else LEAD_IN
+        whole = _with_lead_in(robot, commanded, lead)
+        encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
+        return whole, commands(controller, whole, encoder, robot)
 
     def controller(self, plant: Plant) -> Controller:
         """Return the controller of a plant, with gains (n,), one per motor."""
@@ -209,6 +201,29 @@ def _one_digit(gains: Array) -> Array:
     the true inertia to identification methods, which know the controller."""
     size = 10.0 ** np.floor(np.log10(gains))
     return np.asarray(np.round(gains / size) * size)
+
+
+def oracle_of(plant: Plant, commanded: Trajectory, signals: Signals, step: float) -> Oracle:
+    """Return the exact motion and torques of a plant's signals, which may begin with a lead-in.
+
+    Raises SimulationError for signals that are not finite, or have lost the commanded motion.
+    """
+    robot, lead = plant.robot, len(signals.q) - len(commanded)
+    q, v, a, tau = (x[lead:] for x in (signals.q, signals.v, signals.a, signals.tau))
+    motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
+    for name, array in (("position", motion.q), ("acceleration", motion.a)):
+        check_finite(robot.name, array, f"{name} in closed loop")
+    _check_tracking(robot, commanded, motion, tau)
+    # Motion as encoders on the motors measure it; None where they measure that of the links
+    if plant.transmission is None or not plant.transmission.motor_side:
+        encoders = None
+    else:
+        q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+        dofs = plant.robot.torque_dofs
+        for x, motor in ((q, signals.motor_q), (v, signals.motor_v), (a, signals.motor_a)):
+            x[:, dofs] = motor[lead:]
+        encoders = Trajectory(motion.t, q, v, a, motion.name, motion.period)
+    return Oracle(motion, tau[:, robot.torque_dofs], encoders, step)
 
 
 def _with_lead_in(robot: RobotModel, commanded: Trajectory, count: int) -> Trajectory:

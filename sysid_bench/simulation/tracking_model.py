@@ -45,7 +45,7 @@ MOST_STEPS: Final = 20
 MOST_SPRING_STEPS: Final = 200
 """Maximal number of simulation steps per control period for internal springs."""
 
-_INTEGRATORS: Final = {
+INTEGRATORS: Final = {
     "euler": mujoco.mjtIntegrator.mjINT_EULER,
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
     "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
@@ -92,7 +92,7 @@ def tracking_model(
             f"{plant.robot.name} has coupled joints, whose couplings the integrator {name!r} "
             "violates; use 'euler' or 'rk4'."
         )
-    mj.opt.integrator = int(_INTEGRATORS[name])
+    mj.opt.integrator = int(INTEGRATORS[name])
     if explicit:
         mj.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
     if coupled:

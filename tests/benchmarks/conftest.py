@@ -5,6 +5,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 
 from sysid_bench.regressors.kernel_c import select_kernel
+from sysid_bench.version_fields import environment
 from tests.benchmarks import history
 
 Function = Callable[[], Any]
@@ -141,6 +143,9 @@ def table() -> Iterator[str]:
     yield "thread, what is compared timed in turn in one process, medians. `must` and `aim` are the"
     yield "targets."
     yield ""
+    git = environment()["git"] or {"commit": "unknown", "dirty": None}
+    changes = " with changes" if git["dirty"] else ""
+    yield f"- commit: {str(git['commit'])[:8]}{changes}, {date.today()}"
     yield f"- machine: {history.processor()}, {os.cpu_count()} cores, {platform.system()}"
     yield f"- regressor kernel: {select_kernel()}"
     yield f"- versions: {versions()}"

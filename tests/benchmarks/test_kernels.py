@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sysid_bench.instruction_sets import VARIABLE, usable_levels
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.kernel_c import VARIABLE, KernelSelection, layout_of, select_kernel
+from sysid_bench.regressors.kernel_c import KernelSelection, layout_of, select_kernel
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.benchmarks import peers
@@ -175,7 +176,7 @@ def test_instruction_sets(subject: Subject, compare: Compare, line: Line) -> Non
     if select_kernel().library is None:
         pytest.skip(select_kernel().reason)
     dll = select_kernel().library.dll  # type: ignore[union-attr]
-    levels = compiled.usable_levels(dll)
+    levels = usable_levels(dll)
     program = layout_of(subject.columns)
     functions = {
         level: lambda level=level: compiled.Library(dll, level).dense(

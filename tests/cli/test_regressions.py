@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import sysid_bench
-from sysid_bench.regressors.kernel_c import VARIABLE
+from sysid_bench.instruction_sets import VARIABLE
 from tests.other_package import python_with
 
 from .conftest import small_suite

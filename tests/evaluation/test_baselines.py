@@ -11,7 +11,11 @@ import pytest
 
 from sysid_bench.commands.identify import identify
 from sysid_bench.evaluation.baselines import TIE, Baselines, baselines
-from sysid_bench.evaluation.torque_errors import RowErrors, mean_torque_error
+from sysid_bench.evaluation.torque_errors import (
+    RowErrors,
+    least_torque_error,
+    mean_torque_error,
+)
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.identification.estimators.bayesian import (
     WEAK,
@@ -20,7 +24,8 @@ from sysid_bench.identification.estimators.bayesian import (
     PriorMean,
     body_columns,
 )
-from sysid_bench.identification.estimators.linear import WLS
+from sysid_bench.identification.estimators.linear import OLS, WLS
+from sysid_bench.identification.estimators.robust import Huber
 from sysid_bench.identification.identify import identify as estimated
 from sysid_bench.identification.linear.least_squares import (
     direction_deviations,
@@ -128,6 +133,51 @@ def test_a_row_names_what_beats_it(robot: str) -> None:
     assert {"file-friction", "zero-torque"} <= {*row["beaten_by"].split(", ")}
     failed = prepared.score(WLS(), estimated(PriorMean(), replace(prepared.problem, prior=None)))
     assert failed["beaten_by"] == ""
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_no_parameters_err_less_than_those_fitted_to_the_tests(robot: str) -> None:
+    prepared, rng = noisy(robot), np.random.default_rng(0)
+    tests = []  # that no parameters explain
+    for test in prepared.held_out.values():
+        W, b = dense(test)
+        tests.append(with_rows(test, W, b + 0.1 * rng.normal(size=b.shape) * b.std(axis=0)))
+    best = least_torque_error(tests)
+    assert best is not None
+    assert best > 0.01
+    answers = [estimated(method, prepared.problem).beta for method in (WLS(), OLS(), Huber())]
+    for answer in answers:
+        assert answer is not None
+        for step in (0.0, 1e-4, 1e-2):
+            beta = answer + step * rng.normal(size=len(answer)) * np.abs(answer)
+            error = RowErrors(tests, beta).torque_error
+            assert error is not None
+            assert error >= best * (1 - 1e-9)
+    assert least_torque_error(tests[:1]) == pytest.approx(best, rel=0.5)
+
+
+def test_the_gap_between_null_and_floor() -> None:
+    against = Baselines({"file-friction": 0.5}, floor=0.2, best=0.1)
+    errors = [0.5, 0.1, 0.3, 0.9, None]
+    assert [against.gap_closed(e) for e in errors] == [0.0, 1.0, pytest.approx(0.5), -1.0, None]
+    assert Baselines({"file-friction": 0.5}, floor=0.1).gap_closed(0.3) == pytest.approx(0.5)
+    for none in (Baselines({"mean-torque": 1.0}, best=0.1), Baselines({"file": 0.5})):
+        assert none.gap_closed(0.3) is None
+    # No floor below the null model: nothing to close.
+    for best in (0.5, 0.6, 0.5 - 1e-8):
+        assert Baselines({"file-friction": 0.5}, best=best).gap_closed(0.3) is None
+    assert Baselines({"file": 1e-13}, best=1e-15).gap_closed(1e-14) is None
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_row_has_the_share_of_the_gap(robot: str) -> None:
+    prepared = noisy(robot)
+    row = prepared.score(WLS(), estimated(WLS(), prepared.problem)) | prepared.fields
+    null, best = row["torque_error_null"], row["torque_error_best"]
+    assert best < row["torque_error"] < null
+    assert row["gap_closed"] == pytest.approx((null - row["torque_error"]) / (null - best))
+    failed = prepared.score(WLS(), estimated(PriorMean(), replace(prepared.problem, prior=None)))
+    assert failed["gap_closed"] is None
 
 
 def test_as_good_as_a_baseline_is_not_beaten() -> None:

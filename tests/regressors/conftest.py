@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from sysid_bench.regressors import kernel_c as compiled
-from sysid_bench.regressors.kernel_c import VARIABLE, KernelSelection, select_kernel
+from sysid_bench.instruction_sets import LEVELS, VARIABLE
+from sysid_bench.regressors.kernel_c import KernelSelection, select_kernel
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def choose(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     select_kernel.cache_clear()
 
 
-@pytest.fixture(params=["numpy", *compiled.LEVELS])
+@pytest.fixture(params=["numpy", *LEVELS])
 def kernel_name(request: pytest.FixtureRequest, choose: object) -> str:
     """Every kernel that this machine runs, in turn the one of this process."""
     name: str = request.param

@@ -12,11 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
+from sysid_bench.instruction_sets import LEVELS, VARIABLE
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors import kernel_c as compiled
 from sysid_bench.regressors.block_qr import factors_of_motions, motion_factors
-from sysid_bench.regressors.kernel_c import SOURCE, VARIABLE, KernelSelection, select_kernel
+from sysid_bench.regressors.kernel_c import SOURCE, KernelSelection, select_kernel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
 from sysid_bench.regressors.regression import Regression, regression
@@ -30,7 +31,7 @@ SAME = 1e-12
 """Largest difference of the two kernels, and to Pinocchio, relative to the largest number."""
 
 
-@pytest.fixture(params=compiled.LEVELS)
+@pytest.fixture(params=LEVELS)
 def level(request: pytest.FixtureRequest, choose: Choose) -> str:
     """Every instruction set that this machine runs."""
     name: str = request.param

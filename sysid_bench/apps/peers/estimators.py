@@ -5,6 +5,7 @@ the same cost. A point is a combination of the log-Cholesky coordinates (Rucker 
 that changes the base parameters, so that every point has bodies that can exist."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -19,9 +20,11 @@ from sysid_bench.identification.optimisers import (
     BudgetUse,
     LeastSquares,
     Optimiser,
+    Residuals,
     SimulatedCost,
     parse_budget,
     run_search,
+    simulate_many,
 )
 from sysid_bench.identification.simulation_based.gauss_newton import rows_of, simulatable_start
 from sysid_bench.types import Array, Estimate, Experiment, Recording
@@ -105,7 +108,8 @@ class Candidates:
     def cost(self) -> SimulatedCost:
         """Mean square of measured minus simulated signal, channels in units of their RMS."""
         r = self.directions.shape[1]
-        return SimulatedCost(self._residuals, np.zeros(r), np.full(r, -REACH), np.full(r, REACH))
+        low, high = np.full(r, -REACH), np.full(r, REACH)
+        return SimulatedCost(self._residuals, np.zeros(r), low, high, self._residuals_of_many)
 
     @cached_property
     def _measured(self) -> Array:
@@ -121,12 +125,21 @@ class Candidates:
         return np.asarray(np.where(size > 0, size, 1.0) * np.sqrt(measured.size))
 
     def _residuals(self, x: Array) -> Array:
+        (found,) = self._residuals_of_many([x])
+        if isinstance(found, np.ndarray):
+            return found
+        raise found
+
+    def _residuals_of_many(self, points: Sequence[Array]) -> Iterator[Residuals]:
         # Exponentials of a far candidate may overflow; it then cannot be simulated, which has a
         # cost.
         with np.errstate(over="ignore", invalid="ignore"):
-            theta = self.parameters(x)
-        simulated = self._of(self.experiment.simulate(theta))
-        return np.asarray(((self._measured - simulated) / self._size).ravel())
+            thetas = [self.parameters(x) for x in points]
+        for outcome in simulate_many(self.experiment.simulate, thetas):
+            if isinstance(outcome, Recording):
+                yield ((self._measured - self._of(outcome)) / self._size).ravel()
+            else:
+                yield outcome
 
     def _of(self, recording: Recording) -> Array:
         """The compared signal (N, channels)."""

@@ -26,8 +26,8 @@ class CmaEs:
         strategy = load_optimiser("cma").CMAEvolutionStrategy(cost.start, self.sigma, options)
         while not strategy.stop():
             points = strategy.ask()
-            # One candidate after the other: each counts in the budget before it runs.
-            values = [float(np.sum(search.evaluate(np.asarray(x)) ** 2)) for x in points]
+            found = search.evaluate_many([np.asarray(x) for x in points])
+            values = [float(np.sum(residuals**2)) for residuals in found]
             strategy.tell(points, values)
             search.iterations += 1
         reasons = ", ".join(f"{key} = {value:g}" for key, value in strategy.stop().items())
@@ -76,4 +76,4 @@ def _columns(search: Search, x: Array) -> Array:
     if x.ndim == 1:
         return search.evaluate(x)
     search.iterations += x.shape[1] > 1
-    return np.stack([search.evaluate(column) for column in x.T], axis=1)
+    return np.stack(list(search.evaluate_many(list(x.T))), axis=1)

@@ -1,14 +1,14 @@
 """Problems W beta = b of a robot and a task, from motions and measured signals; and what methods
 may call: regressor, known torque and simulation, without access to the ground truth."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, UnsupportedError
+from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError
 from sysid_bench.experiments.processed_rows import (
     MotionRows,
     ProcessedRows,
@@ -26,9 +26,20 @@ from sysid_bench.regressors.regression import TERM, Regression
 from sysid_bench.regressors.sensor_offset import MeasuredRegressor
 from sysid_bench.regressors.wrench import transform_wrench
 from sysid_bench.signals.row_processing import RowProcessing
+from sysid_bench.simulation.batched_control import BatchedControl
 from sysid_bench.simulation.candidate import Candidate, KnownModel, kinematics_of, plant_of_model
 from sysid_bench.simulation.inverse import joint_positions
-from sysid_bench.types import Array, BaseMap, Controller, Prior, Problem, Recording, Trajectory
+from sysid_bench.simulation.plant import Plant, plant_of
+from sysid_bench.types import (
+    Array,
+    BaseMap,
+    Controller,
+    Oracle,
+    Prior,
+    Problem,
+    Recording,
+    Trajectory,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,9 +224,9 @@ class KnownTorque:
 @dataclass(frozen=True, eq=False)
 class SimulatedModel:
     """The method's own model along the commanded motion, under the declared controller, or under
-    one with other gains.
+    one with other gains; one candidate theta (p,), or `many` at once.
 
-    Raises UnsupportedError without a controller, EstimationError for `theta` (p,) that cannot be
+    Raises UnsupportedError without a controller, EstimationError for `theta` that cannot be
     simulated.
     """
 
@@ -224,11 +235,50 @@ class SimulatedModel:
     candidate: Candidate
 
     def __call__(self, theta: Array, controller: Controller | None = None) -> Recording:
+        (outcome,) = self.many([theta], controller)
+        if isinstance(outcome, Recording):
+            return outcome
+        raise outcome
+
+    def many(
+        self, thetas: Sequence[Array], controller: Controller | None = None
+    ) -> Iterator[Recording | SimulationError | EstimationError]:
+        """Simulate many candidates; yield the recording of each, or the error of one that cannot
+        be simulated."""
         controller, commanded = controller or self.raw.controller, self.raw.commanded
         if controller is None or commanded is None:
             raise UnsupportedError(
                 "This recording declares no controller: nothing to simulate with."
             )
+        plants: list[Plant | EstimationError] = []
+        for theta in thetas:
+            try:
+                plants.append(self._plant(theta))
+            except EstimationError as error:
+                plants.append(error)
+        able = [plant for plant in plants if isinstance(plant, Plant)]
+        outcomes = self._batched(controller).follow(able, commanded, None)
+        # The loop runs at the rate of the controller; its signals are sampled like the measured.
+        decimation = round(controller.rate / self.raw.rate)
+        for plant in plants:
+            outcome = next(outcomes) if isinstance(plant, Plant) else plant
+            if not isinstance(outcome, Oracle):
+                yield outcome
+                continue
+            motion, tau = sampled_motion(outcome.motion, decimation), outcome.tau[::decimation]
+            yield replace(self.raw, t=motion.t, q=motion.q, v=motion.v, a=motion.a, tau=tau)
+
+    def _batched(self, controller: Controller) -> BatchedControl:
+        """The loop of candidates under a controller; the last one is kept, with its compiled
+        model. Any candidate will do for that: joint terms and inertias are those of each."""
+        kept: BatchedControl | None = vars(self).get("kept")
+        if kept is None or kept.controller is not controller:
+            control = self.candidate.control(controller.rate)
+            kept = BatchedControl(control, plant_of(self.model.robot), controller)
+            vars(self)["kept"] = kept
+        return kept
+
+    def _plant(self, theta: Array) -> Plant:
         theta = np.asarray(theta, dtype=float)
         names = self.model.parameters
         if theta.shape != (len(names),):
@@ -236,14 +286,7 @@ class SimulatedModel:
         if not np.isfinite(theta).all():
             bad = names[int(np.flatnonzero(~np.isfinite(theta))[0])]
             raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
-        plant = self.candidate.plant(plant_of_model(self.model, theta))
-        oracle = self.candidate.control(controller.rate).follow(
-            plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
-        )
-        # The loop runs at the rate of the controller; its signals are sampled like the measured.
-        decimation = round(controller.rate / self.raw.rate)
-        motion, tau = sampled_motion(oracle.motion, decimation), oracle.tau[::decimation]
-        return replace(self.raw, t=motion.t, q=motion.q, v=motion.v, a=motion.a, tau=tau)
+        return self.candidate.plant(plant_of_model(self.model, theta))
 
 
 def known_model(robot: RobotModel, task: Task) -> KnownModel:

@@ -139,6 +139,7 @@ class SimulatedSource:
             row |= {
                 "plant_step": self.step,
                 "candidate_step": candidate.step or 1.0 / simulation.rate,
+                "candidate_simulator": candidate.simulator(self.built.model),
                 "same_simulator": candidate.has_steps_of(simulation, self.step),
             }
         if self.built.values and not self.spec.plant.get(SEALED):

@@ -8,7 +8,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet
-from sysid_bench.identification.optimisers import parse_budget, with_budget
+from sysid_bench.identification.optimisers import parse_budget, simulate_many, with_budget
 from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
     Model,
@@ -123,12 +123,20 @@ class OutputError:
         # Steps of equal effect on the torques: parameters differ by orders of magnitude.
         sizes = np.sqrt((W**2).sum(axis=(0, 1)))
         torque = np.linalg.norm(trial.recording.tau)
+        steps = [
+            min(
+                TORQUE_CHANGE * torque / effect, self.simulatable.step_limit(trial.theta, direction)
+            )
+            for direction, effect in zip(inverse.T, sizes, strict=True)
+        ]
+        thetas = [trial.theta + h * x for h, x in zip(steps, inverse.T, strict=True)]
         columns = []
-        for direction, effect in zip(inverse.T, sizes, strict=True):
-            limit = self.simulatable.step_limit(trial.theta, direction)
-            size = min(TORQUE_CHANGE * torque / effect, limit)
-            other = self.evaluate(trial.theta + size * direction)
-            columns.append((trial.error - other.error) / size)
+        outcomes = simulate_many(self.experiment.simulate, thetas)
+        for step, outcome in zip(steps, outcomes, strict=True):
+            if not isinstance(outcome, Recording):
+                raise outcome
+            error = self.measured - self.signal(self.experiment, outcome)
+            columns.append((trial.error - error) / step)
         return np.stack(columns, axis=-1)
 
 
