@@ -48,7 +48,7 @@ NIGHTLY ?= /tmp/sysid-bench-nightly
 nightly:
 	@echo "nightly: tests with lowest and newest versions, NumPy kernel, each extra left out; tutorials"
 	$(MAKE) nightly-versions nightly-extras tutorials
-	SYSID_BENCH_KERNEL=numpy $(MAKE) test
+	SYSID_BENCH_KERNEL=numpy PYTEST_ADDOPTS=--hypothesis-profile=nightly $(MAKE) test
 
 nightly-versions:
 	$(PYTHON) .ci/environments.py tests --folder $(NIGHTLY) lowest newest

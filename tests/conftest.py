@@ -19,9 +19,11 @@ if "sysid_bench.types" in sys.modules:
     raise pytest.UsageError("sysid_bench.types was imported too early: its shapes go unchecked.")
 install_import_hook("sysid_bench.types", "beartype.beartype")
 
-# No deadlines: two test processes on two cores make single examples slow now and then.
-settings.register_profile("here", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True, database=None)
+# No deadlines: two test processes on two cores make single examples slow now and then. CI repeats
+# the same examples, so that more of them find nothing new; `make nightly` draws many.
+settings.register_profile("here", deadline=None, max_examples=30)
+settings.register_profile("ci", deadline=None, max_examples=30, derandomize=True, database=None)
+settings.register_profile("nightly", deadline=None, max_examples=300)
 settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 

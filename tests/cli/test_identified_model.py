@@ -209,7 +209,8 @@ def test_a_column_of_ones_own_comes_from_the_manifest(folder: Path, tmp_path: Pa
     assert found["std"] < 0.7
 
 
-@pytest.mark.parametrize("joint", [2, *(pytest.param(j, marks=pytest.mark.long) for j in (3, 4))])
+@pytest.mark.long
+@pytest.mark.parametrize("joint", [2, 3, 4])
 def test_a_wrong_gain_is_found_by_a_known_load(tmp_path: Path, joint: int) -> None:
     unloaded, loaded = recorded(named_robot("ur5"), 3), recorded(named_robot("ur5", "box-2kg"), 4)
     gains = np.ones(6)

@@ -60,6 +60,7 @@ def test_identified_parameters_serve_as_well_as_true_ones(repeat: int) -> None:
     assert noisy["beta_error"] < 4e-3
 
 
+@pytest.mark.long
 def test_a_locked_wrist_names_the_torques_that_its_data_cannot_foretell() -> None:
     arm = row("locked wrist", "lmi", "none", WHITE, 0)
     assert (arm["rank"], arm["excited_rank"], arm["structural_rank"]) == (38, 17, 38)

@@ -162,7 +162,9 @@ def test_a_filter_of_rows_spreads_nothing_of_a_contact(seed: int, start: int, le
     assert rows.count(0) == round((200 - touched.sum()) / 3)
 
 
-@pytest.mark.parametrize("contacts", ["detect", ["5 s to 10 s"]])
+@pytest.mark.parametrize(
+    "contacts", ["detect", pytest.param(["5 s to 10 s"], marks=pytest.mark.long)]
+)
 def test_contacts_are_left_out_before_the_filter_with_its_margin(contacts: Any) -> None:
     """A hand that is touched for a third of the time is identified as well as a free one."""
     errors = {}
@@ -210,6 +212,7 @@ def test_robust_scales_are_those_of_the_rows_that_count() -> None:
     assert errors[0] < 1.5 * errors[1]
 
 
+@pytest.mark.long
 def test_standstill_and_parallel_filtering_repair_least_squares_in_closed_loop() -> None:
     """A joint that sticks has friction between its limits, and sign(v) at one of them. The errors
     of single draws scatter by a factor of two: the mean over robots and draws is judged."""

@@ -9,7 +9,9 @@ GUARD = 20
 """Samples around a slow one that may still be under its spell."""
 
 
-@pytest.mark.parametrize("robot", ["dvrk_psm", "dvrk_mtm", "scara", "tx40"])
+@pytest.mark.parametrize(
+    "robot", [pytest.param("dvrk_psm", marks=pytest.mark.long), "dvrk_mtm", "scara", "tx40"]
+)
 def test_moving_joints_obey_the_model(robot: str) -> None:
     """Residuals at the true parameters, over the joint's RMS torque: at most 0.06 %."""
     made = ready(
