@@ -26,7 +26,7 @@ NO_JOINT: Final = "-"
 
 _UNCHANGED: Final = (
     *("joints", "q", "v", "tau", "q_ref", "v_ref", "wrench", "base", "reader", "controller"),
-    *("payload", "rows", "share", "locked"),
+    *("payload", "rows", "share", "locked", "serial"),
 )
 """Keys that a description has as they are written."""
 
@@ -43,7 +43,7 @@ class LogDescription:
     joined by name and time. `data`: numbers in memory, instead of any file. `controller`: gains
     that track `q_ref` and, where it is recorded, `v_ref`, the commanded motion; without them the
     commanded motion is not read. `wrench`: columns of force/torque sensors. `base`: those of the
-    motion of a floating base.
+    motion of a floating base. `serial`: which of several robots of one type.
     """
 
     source: Path
@@ -59,6 +59,7 @@ class LogDescription:
     rows: tuple[int, int] | None = None
     share: float = 1.0
     locked: Mapping[str, float] | None = None
+    serial: str | None = None
     period: float | None = None
     reader: str | Mapping[str, Any] | None = None
     sources: tuple[Source, ...] = ()

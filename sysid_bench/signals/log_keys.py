@@ -296,6 +296,8 @@ class LogKeys(_Table):
     """First and last row that are read."""
     share: Annotated[float, BeforeValidator(_fraction), Field(gt=0, le=1)] = 1.0
     """First part of the rows that is read, 0.1 or "10 %"."""
+    serial: str | None = None
+    """Which of several robots of one type was recorded."""
     locked: dict[str, float] = Field(default_factory=dict)
     """Position of joints that did not move, rad or m."""
 

@@ -12,6 +12,7 @@ import pytest
 import sysid_bench
 from sysid_bench.apps.actuators.backlash import load_steps
 from sysid_bench.apps.actuators.commands.actuators_result import ActuatorsResult
+from sysid_bench.apps.actuators.commands.file_ranges import unit_fields
 from sysid_bench.apps.actuators.drive_estimate import identify_drives
 from sysid_bench.apps.actuators.drive_rows import SERVO, drive_rows
 from sysid_bench.errors import UsageError
@@ -155,3 +156,34 @@ def test_the_repetition_stands_beside_the_rollout(model: Path, tmp_path: Path) -
     whole = np.sqrt(np.mean([x["rollout_command"] ** 2 for x in result.joints.values()]))
     assert whole == pytest.approx(result.scores["rollout_error_command"])
     assert "that the training repeats 1.0" in result.summary()
+
+
+def test_scatter_between_robots_stands_apart_from_that_between_files() -> None:
+    rng = np.random.default_rng(0)
+    units, files = 40, 5
+    values = rng.normal(size=(units, 1, 3, 4)) * 0.5 + 0.1 * rng.normal(size=(units, files, 3, 4))
+    serials = [f"no. {i // files}" for i in range(units * files)]
+    terms = ("Ia", "fv", "fc", "offset")
+    found = unit_fields(values.reshape(-1, 3, 4), (JOINTS, terms), serials)["units"]
+    kinds = {
+        kind: [x[t][kind] for x in found.values() for t in terms] for kind in found["hip"]["Ia"]
+    }
+    assert np.mean(kinds["between_units"]) == pytest.approx(0.5, rel=0.1)
+    assert np.mean(kinds["between_files"]) == pytest.approx(0.1, rel=0.1)
+    assert not unit_fields(values[0], (JOINTS, terms), serials[:files])
+    assert not unit_fields(values[:, 0], (JOINTS, terms), serials[::files])
+    assert not unit_fields(values[:2].reshape(-1, 3, 4), (JOINTS, terms), [None, *serials[1:10]])
+
+
+def test_robots_are_named_by_their_logs(model: Path) -> None:
+    logs = []
+    for seed in range(4):
+        commands = Case(seed, delay=0.004, gains=((1.0, 1.0),), seconds=5.0).commands()
+        pd = {"q_des": "q_des", "kp": [KP], "kd": [0.8], "delay": "4 ms"}
+        keys = {"joints": list(JOINTS), "rate": RATE, "tau": {"pd": pd}, "serial": str(seed // 2)}
+        logs.append(sysid_bench.log_of({"q": commands.q, "q_des": commands.q_des}, keys))
+    result = sysid_bench.identify(model, task="actuators", log=logs, accept=["worse"])
+    assert isinstance(result, ActuatorsResult)
+    assert result.files is not None
+    assert set(result.files["units"]) == set(JOINTS)
+    assert "between robots of one type" in result.summary()

@@ -1,12 +1,13 @@
 """Result of an identification of actuators: its fields and their text."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import SIGNED
+from sysid_bench.apps.actuators.commands.file_ranges import percent_text, unit_ratios
 from sysid_bench.apps.actuators.commands.servo_result import (
     MORE_NAMES,
     finite,
@@ -15,10 +16,8 @@ from sysid_bench.apps.actuators.commands.servo_result import (
 )
 from sysid_bench.apps.actuators.drive_estimate import (
     DriveEstimate,
-    identify_drives,
-    repeat_covariance,
 )
-from sysid_bench.apps.actuators.drive_rows import LEAST, UNKNOWNS, DriveRows
+from sysid_bench.apps.actuators.drive_rows import UNKNOWNS
 from sysid_bench.apps.actuators.position_baselines import (
     REPETITION,
     PositionBaselines,
@@ -28,7 +27,7 @@ from sysid_bench.commands.identify_result import KNOWN, IdentifyResult
 from sysid_bench.commands.result import OMIT_NONE
 from sysid_bench.errors import SHOWN, first_names
 from sysid_bench.evaluation.baselines import COMMAND, FILE, WORDS, Baselines
-from sysid_bench.evaluation.intervals import confidence_level, level_text, new_value_interval
+from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.signals.log import Log
 from sysid_bench.types import Array
 
@@ -41,12 +40,6 @@ OF_JOINT: Final = {
 }  # fmt: skip
 """Fields of a joint beside its rollout."""
 WIDTHS: Final = (15, 15, 15, 17)
-FILES: Final = 3
-"""Recordings from which on deviations are those between files."""
-LIMITS: Final = {
-    "files": "between the values of single files",
-    "residuals": "from blocks of the residuals: repeated runs scatter more (give several --log)",
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -62,7 +55,9 @@ class ActuatorsResult(IdentifyResult):
     `delay_interval` for an exact model, and `delay_open`: the error that residuals as large as
     these allow, None where commands do not change. `confounded`: {parameters, direction: changes
     that the data hardly notice}. `profile`: {delay, loss, Ia, fv, fc: medians over the joints}.
-    `files`: mean, deviation between files and 95 % interval of a new file. `judged`: recordings,
+    `files`: mean, deviation between files and 95 % interval of a new file, from zero to the value
+    of the model file at least where one is on its bound; `units`: deviations between robots and
+    between files of one, where logs name their robots (`serial`). `judged`: recordings,
     periods and errors of the rollout. `covariance`: of each joint's values and the delay, between
     files from three on. `motors`: of joints that name one, its `name`, and `armature` with `std`, a
     prior of the fit. `gains` (with `also`): {joints, gain over the stated one, low, high;
@@ -178,11 +173,16 @@ class ActuatorsResult(IdentifyResult):
                 "  on the lower bound, zero or a tenth of the model file's, so no estimates: "
                 f"{first_names(named, SHOWN)}{against}"
             )
+        if units := (self.files or {}).get("units"):
+            yield (
+                "  median deviation between robots of one type over that between files of one: "
+                f"{unit_ratios(units)}"
+            )
         if self.files is not None:
             yield (
                 f"  between {self.files['count']} files, each fitted by itself: median deviation "
-                f"in % of the mean: {_percent(self.files['joints'])}; {level_text()} ranges of a "
-                "new file: --json"
+                f"in % of the mean: {percent_text(self.files['joints'])}; {level_text()} ranges of "
+                "a new file: --json"
             )
         for one in self.judged if self.rollout_error is not None else ():
             yield (
@@ -226,15 +226,6 @@ def _written_line(written: Mapping[str, Any]) -> str:
     gap, reason = written["gap"], written["reason"]
     again = f"not checked: {reason}" if gap is None else f"differs by {gap:.1e} rad (m)"
     return f"  model: {written['file']}; simulation by MuJoCo alone {again}"
-
-
-def _percent(joints: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
-    """Median over the joints of the deviation between files over the mean, term by term."""
-    words = []
-    for term in UNKNOWNS:
-        shares = [abs(j[term]["std"] / j[term]["mean"]) for j in joints.values() if j[term]["mean"]]
-        words.append(f"{term} {100 * sorted(shares)[len(shares) // 2]:.2g}" if shares else term)
-    return ", ".join(words)
 
 
 # --- Fields -------------------------------------------------------------------------------------
@@ -305,88 +296,4 @@ def joint_fields(
             "torque_error": finite(float(torque[j])),
         }
         for j, name in enumerate(found.rows.joints)
-    }
-
-
-def covariance_fields(joints: Sequence[str], covariance: Array) -> dict[str, Any]:
-    """Return covariances (k, 5, 5) of values and delay by joint, for ranges drawn jointly."""
-    return {
-        "of": [*UNKNOWNS, "delay"],
-        "joints": dict(zip(joints, covariance.tolist(), strict=True)),
-    }
-
-
-def file_fields(
-    singles: Sequence[DriveRows],
-    shared: Sequence[str],
-    delay: float | None,
-    answer: Mapping[str, dict[str, Any]],
-) -> dict[str, Any]:
-    """Return the ranges between recordings, each fitted by itself; from FILES of them on these are
-    the deviations of the joints of the `answer`. Nothing for one recording."""
-    if len(singles) < 2:
-        return {}
-    files = _between(singles, [identify_drives(rows, shared, delay) for rows in singles])
-    # Two files give a range, and hardly a deviation: that of the residuals stays.
-    if len(singles) < FILES:
-        return {"files": files}
-    between = {
-        name: {**joint, "std": {term: one["std"] for term, one in files["joints"][name].items()}}
-        for name, joint in answer.items()
-    }
-    return {
-        "files": files,
-        "joints": between,
-        "covariance": files["covariance"],
-        "std_from": "files",
-        "std_limit": LIMITS["files"],
-    }
-
-
-def _between(singles: Sequence[DriveRows], fits: Sequence[DriveEstimate]) -> dict[str, Any]:
-    """Ranges of values and delay between the fits of single files, and their covariance."""
-    joints, terms = singles[0].joints, (*UNKNOWNS, *singles[0].more)
-    usual, delays = np.array([x.fit.values for x in fits]), np.array([x.delay for x in fits])
-    more = [np.array([x.other_values[name] for x in fits])[..., None] for name in singles[0].more]
-    ranges = _ranges(np.concatenate([usual, *more], axis=2))
-    by_joint = {
-        name: {
-            term: {key: float(x[j, i]) for key, x in ranges.items()} for i, term in enumerate(terms)
-        }
-        for j, name in enumerate(joints)
-    }
-    words = dict(zip(UNKNOWNS[:SIGNED], ("armature", "damping", "frictionloss"), strict=True))
-    held = np.any([x.fit.at_bound for x in fits], axis=0)
-
-    def range_of(j: int, term: str) -> list[float]:
-        """Range of an attribute of MJCF, cut at zero; of a value on its bound to the file's."""
-        low, high = (by_joint[joints[j]][term][end] for end in ("low", "high"))
-        i = UNKNOWNS.index(term)
-        if held[j, i] and singles[0].low is not None:
-            high = max(high, float(singles[0].low[j, i]) / LEAST)
-        return [max(low, 0.0), max(high, 0.0)]
-
-    return {
-        "covariance": covariance_fields(joints, repeat_covariance(usual, delays)),
-        "count": len(fits),
-        "share": confidence_level(),
-        "joints": by_joint,
-        "delay": {key: float(x) for key, x in _ranges(delays).items()},
-        "mjcf": {
-            name: {word: range_of(j, term) for term, word in words.items()}
-            for j, name in enumerate(joints)
-        },
-    }
-
-
-def _ranges(values: Array) -> dict[str, Array]:
-    """Mean and deviation (...) of the values of n files (n, ...), and the ends of the range of a
-    new one."""
-    # Of a new file, not of the mean: the next robot, day or floor scatters as these did.
-    low, high = new_value_interval(values)
-    return {
-        "mean": values.mean(axis=0),
-        "std": values.std(axis=0, ddof=1),
-        "low": low,
-        "high": high,
     }

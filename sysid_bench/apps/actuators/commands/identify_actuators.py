@@ -11,16 +11,14 @@ import numpy as np
 
 from sysid_bench.apps.actuators.bounded_fit import holds
 from sysid_bench.apps.actuators.commands.actuators_result import (
-    LIMITS,
     ActuatorsResult,
     baseline_scores,
-    covariance_fields,
     delay_fields,
-    file_fields,
     joint_fields,
     judged_result,
     motor_fields,
 )
+from sysid_bench.apps.actuators.commands.file_ranges import LIMITS, covariance_fields, file_fields
 from sysid_bench.apps.actuators.commands.servo_result import (
     gain_fields,
     limit_fields,
@@ -142,7 +140,8 @@ def identify_actuators(request: Identify) -> ActuatorsResult:
     # At the bias of all files: their values then differ by the recordings alone.
     singles = single_rows(found.rows.bias) if len(parts) > 1 else []
     singles = [replace(rows, servo=found.rows.servo) for rows in singles]
-    result = replace(result, **file_fields(singles, request.share, delay, result.joints))
+    serials = [part.log.description.serial for part in parts]
+    result = replace(result, **file_fields(singles, request.share, delay, result.joints, serials))
     result = replace(result, configurations=_configurations(result, found, judged[0]))
     return result if model_out is None else _with_model(result, model_out, found, judged[0])
 
