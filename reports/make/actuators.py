@@ -64,7 +64,7 @@ def of_model(robot: RobotModel, log: Log) -> Drives:
 def main() -> None:
     """Print a row for each recording."""
     data = Path(os.environ["SYSID_BENCH_DATA"])
-    print("| recording | linear fit | at whole samples of delay | least squares | model file | CPU s "
+    print("| recording | linear fit | whole samples | least squares | model file | CPU s "
           "| delay, ms | open by, ms | values on a bound |")  # fmt: skip
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
     for (name, run), published in RUNS.items():
