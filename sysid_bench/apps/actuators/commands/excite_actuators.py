@@ -431,7 +431,7 @@ def _warnings(
         yield (
             "the gains of the servo are not known, or its file's ask for more than the torque "
             f"limit at an error of {1e3 * STIFF:g} mrad: kp of {kp.min():.3g} to {kp.max():.3g} "
-            "N m/rad is assumed, for which alone limits hold: watch the first run. It is a start for "
+            "N m/rad is assumed, for which alone limits hold: watch the first run. A start for "
             "--task actuators --also gain; give --gain kp=... and kd=... where they are known"
         )
     armature = _armature_std(problem, candidate)
