@@ -187,7 +187,8 @@ class NearModel:
         P, fitted = (np.stack(one) for one in zip(*parts, strict=True))
         for _ in range(ROUNDS):
             H = np.tensordot(self.parts * scale, P[:, :r, :r], axes=1)
-            H.flat[:: r + 1] += FLOOR**2
+            # Beyond sixteen digits, as of positions in another unit, the prior would be lost.
+            H.flat[:: r + 1] += FLOOR**2 + 1e-14 * H.diagonal().max(initial=0.0)
             b = self.parts * scale @ (P[:, :r, r:] @ sides[:, :, None])[:, :, 0]
             # Residuals from the products alone: those of the combination torque - links.
             full = np.empty((n, P.shape[1]))
