@@ -15,7 +15,10 @@ MANY: Final = 0.02
 """Share of the samples from which a defect that the reader found is a warning; fewer are noted."""
 ADVICE: Final = {
     "rate": "correct rate, or the unit of time",
-    "velocity": "correct the columns, the unit or the ratio of v",
+    "velocity": (
+        "correct the columns, the unit or the ratio of v, or of q; or leave v out: rates are then "
+        "differences of q"
+    ),
     "units": "correct unit, gain, ratio or offset",
     "held": "correct rate to that of the data, or record faster",
     "lost": "give time = the column of stamps",
