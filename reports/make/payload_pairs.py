@@ -66,7 +66,8 @@ def judged(pair: Pair, estimator: str) -> tuple[str, bool | None]:
     """The line of a pair, and whether its interval holds the mass; None without an interval."""
     name = pair.robot.removeprefix(SCHEME)
     # A load that is stated where there is none contradicts the gains.
-    accept = (*find_dataset(name).described.accept, "velocity", "gain", "gravity", "columns")
+    stated = find_dataset(name).described.accept
+    accept = (*stated, "velocity", "gain", "current", "gravity", "columns")
     try:
         found = sysid_bench.identify(
             pair.robot, log=[_motion(name, pair.empty), pair.loaded], task="payload",

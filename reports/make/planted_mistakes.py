@@ -45,6 +45,7 @@ HARMFUL: Final = 0.3
 """Raise of the error from which a mistake must not stay silent."""
 ABSURD: Final = 3.0
 """Factor of a gain in a cure, over the one that is right, beyond which it is absurd."""
+UNDECIDED: Final = "undecided"
 LOAD: Final = "load"
 """The finding of a tool, which is right where one was mounted."""
 
@@ -135,8 +136,10 @@ class Bench:
             return Case(*start, np.inf, found, is_named, True, (), text, mistake.is_harmless)
         tests = tuple(replace(test, robot=robot) for test in self.tests)
         raised = plain_error(faulty, tests) - self.error
-        known = {(f.name, f.joints) for f in self.findings}
-        new = [f for f in _doubts(diagnose(faulty), self.loaded) if (f.name, f.joints) not in known]
+        # An error is new where the recording without the mistake has a warning.
+        known = {(f.name, f.joints): f.is_error for f in self.findings}
+        doubts = _doubts(diagnose(faulty), self.loaded)
+        new = [f for f in doubts if known.get((f.name, f.joints), -1) < f.is_error]
         # No gain is right for the model of another robot, and none is absurd.
         cure = _right_gains(one.training.tau, planted.tau) if mistake.robot is None else None
         likely = _as_likely(new[0]) if new else []
@@ -152,10 +155,12 @@ class Bench:
 
 
 def _doubts(findings: Sequence[Finding], loaded: bool) -> list[Finding]:
-    """Findings but notes, and but the tool that is there, unless something else is as likely."""
+    """Findings but notes, those that nothing is decided, and but the tool that is there, unless
+    something else is as likely."""
     return [
         f for f in findings
-        if f.severity != NOTE and not (loaded and f.name == LOAD and not f.as_likely)
+        if f.severity != NOTE and f.name != UNDECIDED
+        and not (loaded and f.name == LOAD and not f.as_likely)
     ]  # fmt: skip
 
 

@@ -253,7 +253,8 @@ class Gate(Request["GateResult"]):
         if self.exact and known.digits < EXACT_DIGITS:
             raise UsageError(
                 f"The baseline {file!r} holds {known.digits} digits of a value, and --exact needs "
-                f"{EXACT_DIGITS}; save it again with 'sysid-bench baseline save RUN -o {file}'."
+                f"{EXACT_DIGITS}; compare with one of a run of the code before ('sysid-bench "
+                "baseline save RUN -o exact.json'), or leave --exact out."
             )
         result = gate_run(run, known, file, partial=self.partial, times=self.times)
         if not self.exact:

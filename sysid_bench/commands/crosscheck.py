@@ -86,7 +86,9 @@ class CrosscheckResult(Result):
 
     `gap`: max |Y - Y_pin| / max |Y_pin|, same parameter order and frames. `closure`: max |Y theta +
     armature a - tau_MuJoCo| / max |tau_MuJoCo|. `native_gap`: gap against Pinocchio's own parser,
-    None with `native_reason` where it does not apply. `engine`: the second one, "pinocchio" or,
+    None with `native_reason` where it does not apply. `simulation_gap`: largest difference (rad, m)
+    of positions in 0.1 s of free fall that compiled steps and MuJoCo simulate, None with
+    `simulation_reason` where MuJoCo alone does. `engine`: the second one, "pinocchio" or,
     where that is not installed, "mujoco". `near_degenerate`: directions that the rank rule drops
     though they are no rounding; `rank_gap`: last kept over first dropped singular value.
     """
@@ -103,6 +105,8 @@ class CrosscheckResult(Result):
     closure: float | None = None
     native_gap: float | None = None
     native_reason: str | None = None
+    simulation_gap: float | None = None
+    simulation_reason: str | None = None
     engine: str | None = None
     base_parameters: int | None = None
     near_degenerate: int | None = None
@@ -123,9 +127,12 @@ class CrosscheckResult(Result):
         if self.base_parameters is not None and self.near_degenerate is not None:
             own = BaseCount(self.base_parameters, self.near_degenerate, self.rank_gap)
             weak = own.dropped_text
+        steps = f"simulation: {self.simulation_reason}"
+        if self.simulation_gap is not None:
+            steps = f"simulation gap {self.simulation_gap:.1e}"
         lines = [
             f"{self.robot}: {'agrees' if self.ok else 'DIFFERS'}  gap {self.gap:.1e}  "
-            f"closure {self.closure:.1e}  {native}",
+            f"closure {self.closure:.1e}  {native}  {steps}",
             f"  {self.nv} degrees of freedom, {self.bodies} bodies, "
             f"{self.base_parameters} base parameters{weak}",
         ]
@@ -214,6 +221,8 @@ def _measured(manifest: "Manifest", request: Crosscheck) -> CrosscheckResult:
         closure=verdict.closure,
         native_gap=verdict.native_gap,
         native_reason=verdict.native_reason,
+        simulation_gap=verdict.simulation_gap,
+        simulation_reason=verdict.simulation_reason,
         engine=verdict.engine,
         base_parameters=counted.rank,
         near_degenerate=counted.near_degenerate,

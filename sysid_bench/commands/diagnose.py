@@ -26,9 +26,6 @@ PathLike = str | Path
 ACTUATORS: Final = "actuators"
 """Task of position-commanded robots, which judges the time of their commands."""
 
-CURRENT: Final = "current"
-"""Name of the contradiction that torques are currents."""
-
 
 class DiagnoseRequest(Request["DiagnoseResult"]):
     """Find what is wrong with recordings: signs, units, columns, gains, time, missing terms.
@@ -210,40 +207,6 @@ def check_contradictions(logs: "Sequence[ProcessedLog]", accept: Collection[str]
             )
         warnings += [f"{source.name}: {one.message}" for one in findings if one.severity != NOTE]
     return warnings
-
-
-def check_torque_units(logs: "Sequence[ProcessedLog]", accept: Collection[str]) -> list[str]:
-    """Return accepted sentences on torques declared in N m that are currents, or torques of motors;
-    raise UsageError for those that `accept` does not name.
-
-    A model that is fitted to them is as good on their own motion, and wrong by their gains.
-    """
-    from sysid_bench.models.model_checks import placeholder_reason
-    from sysid_bench.signals.torque_scale import scale_contradiction
-
-    said = []
-    for log in logs:
-        described, recording, robot = log.log.description, log.log.recording, log.robot
-        is_declared = "A" not in (described.tau.unit or ()) and described.tau.pd is None
-        if not described.has_torque or not is_declared or placeholder_reason(robot):
-            continue
-        # In the order of the degrees of freedom: the others are locked, or no hinges or slides.
-        joints = [joint for joint in robot.joints if joint.name in robot.torque_rows]
-        q = recording.q[:, [joint.qadr for joint in joints]]
-        rows = [robot.torque_rows.index(joint.name) for joint in joints]
-        names = [joint.name for joint in joints]
-        data = q, recording.tau[:, rows], recording.t
-        reason = scale_contradiction(*data, robot, names, sure=True)
-        if reason and CURRENT not in accept:
-            raise UsageError(
-                f"{described.source}: tau does not hold torques of joints in N m: {reason} (cure: "
-                "tau = { unit = 'A', gain = [...] }, or ratio = [...] of the gears). Fix the "
-                f"description, or go on with --accept {CURRENT}."
-            )
-        said += [f"{described.source.name}: tau does not hold torques of joints: {reason}"] * bool(
-            reason
-        )
-    return said
 
 
 def _input_of(manifest: "Manifest", log: "LogDescription") -> "DiagnoseInput":

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.commands.diagnose import check_contradictions, check_torque_units
+from sysid_bench.commands.diagnose import check_contradictions
 from sysid_bench.commands.identify import WORSE, Identify
 from sysid_bench.commands.identify_result import (
     OF_CELLS,
@@ -162,7 +162,6 @@ def identify_recorded(request: Identify) -> RecordedResult:
             f"The task {request.task!r} has a way of its own to recordings; use it in a suite."
         )
     contradictions = check_contradictions(source.recordings, request.findings)
-    contradictions += check_torque_units(source.recordings, request.findings)
     reason = source.prior.reason
     hint = f"The prior is absent: {reason}." if reason else ""
     estimate = solved(prepared, method, f"{name} on {manifest.name}", hint)

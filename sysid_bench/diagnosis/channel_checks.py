@@ -15,7 +15,10 @@ MANY: Final = 0.02
 """Share of the samples from which a defect that the reader found is a warning; fewer are noted."""
 ADVICE: Final = {
     "rate": "correct rate, or the unit of time",
-    "velocity": "correct the columns, the unit or the ratio of v",
+    "velocity": (
+        "correct the columns, the unit or the ratio of v, or of q; or leave v out: rates are then "
+        "differences of q"
+    ),
     "units": "correct unit, gain, ratio or offset",
     "held": "correct rate to that of the data, or record faster",
     "lost": "give time = the column of stamps",
@@ -46,7 +49,9 @@ MANY_JOINTS: Final = 4
 """The least correlation where as many joints have the same factor: noise in the accelerations of
 both lowers it, and equal factors are no chance."""
 EQUAL: Final = 0.15
-"""Relative difference of the factors of two joints: their inertias differ by more."""
+MOST_JOINTS: Final = 0.75
+"""Relative difference of the factors of two joints: their inertias differ by more. Share of many
+joints that have one factor: noise of encoders may hide that of some."""
 
 NOTHING_ELSE: Final = 0.9
 """Share of a channel's squares in its spikes from which all fits are those of the spikes."""
@@ -78,7 +83,9 @@ def recorded_findings(evidence: DiagnoseInput) -> Iterator[Finding]:
         edit = ADVICE.get(one.name, "")
         if one.name == "lost" and evidence.log.description.time is not None:
             edit = "record at a rate that the recorder keeps; few lost samples do little harm"
-        severity = ERROR if one.contradiction else NOTE if few else WARNING
+        # Units are wrong in all samples: few beyond a limit are spikes, or a limit that is too low.
+        is_wrong = one.contradiction and not (one.name == "units" and few)
+        severity = ERROR if is_wrong else WARNING if one.contradiction or not few else NOTE
         yield Finding(one.name, severity, one.text, edit=edit)
 
 
@@ -105,6 +112,7 @@ def touches(x: Array) -> int:
     x = x[np.isfinite(x)]
     if not len(x) or x.min() < 0 < x.max():
         return -1
+    x = np.delete(x, _spike_rows(x))  # which are far above all others, and need not have their sign
     x, steps = np.abs(x), np.abs(np.diff(x))
     rms = float(np.sqrt((x**2).mean()))
     # A smooth torque that only comes near zero has hardly any slope there: one that was folded
@@ -208,14 +216,14 @@ def _copied_derivatives(evidence: DiagnoseInput) -> Iterator[Finding]:
 
 
 def _is_common(x: Array, tau: Array) -> bool:
-    """True where each column of tau (N, k) is that of x (N, k) times the same factor, but for an
-    offset."""
+    """True where each column of tau (N, k), or three of four, is that of x (N, k) times the same
+    factor, but for an offset."""
     correlation, factor = _slopes(x, tau)
     middle = float(np.median(factor))
     least = LEAST if len(factor) >= MANY_JOINTS else NEAR
-    return bool(
-        (correlation > least).all() and (np.abs(factor - middle) < EQUAL * abs(middle)).all()
-    )
+    equal = np.abs(factor - middle) < EQUAL * abs(middle)
+    share = MOST_JOINTS if len(factor) >= MANY_JOINTS else 1.0
+    return bool((correlation > least).all() and equal.mean() >= share)
 
 
 def _slopes(x: Array, tau: Array) -> tuple[Array, Array]:

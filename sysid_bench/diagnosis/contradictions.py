@@ -15,7 +15,7 @@ from sysid_bench.diagnosis import motion_candidates as of_motion
 from sysid_bench.diagnosis import torque_candidates as of_torque
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
-from sysid_bench.diagnosis.gain_candidates import joint_gains
+from sysid_bench.diagnosis.gain_candidates import drive_currents, joint_gains, torque_scale
 from sysid_bench.diagnosis.hypothesis import Candidate, Hypothesis, first_hypothesis
 from sysid_bench.diagnosis.model_candidates import (
     LINK,
@@ -25,11 +25,13 @@ from sysid_bench.diagnosis.model_candidates import (
 )
 
 LOAD: Final = "load"
+GAIN: Final = "gain"
 
 Search = Callable[[Hypothesis], Iterator[Candidate]]
 SEARCHES: Final[Sequence[Search]] = (
-    of_motion.sampling_rate, of_torque.torque_direction, of_torque.torque_columns,
-    of_torque.tool_load, of_torque.torque_gain, joint_gains, gravity_direction,
+    of_motion.sampling_rate, of_torque.torque_direction, of_torque.torque_magnitude,
+    of_torque.torque_columns,
+    of_torque.tool_load, of_torque.torque_gain, joint_gains, drive_currents, gravity_direction,
     of_motion.encoder_offset,
     of_motion.joint_columns, of_motion.joint_direction, of_motion.position_unit,
 )  # fmt: skip
@@ -54,6 +56,9 @@ left may be other mistakes, but one that explains next to nothing is none."""
 EQUAL: Final = 0.9
 """Share of what the best explanation gains, or explains, from which another one is as likely."""
 
+RIVAL: Final = 0.75
+"""The same of gains that are far apart: a number that one has to apply is to be certain."""
+
 AHEAD: Final = 6
 """Candidates after which a load is looked for."""
 
@@ -61,8 +66,8 @@ EXPLAINED: Final = 0.75
 FOREIGN: Final = 0.15
 FITTING: Final = 0.35
 """Explained share and cost: the library is not searched for another robot where a candidate
-explains more, or where the cost is lower. Another robot explains at least the last share: of many
-robots one fits better by chance."""
+explains more, or where the cost is lower. One that explains less than the last share is a doubt: of
+many robots one fits better by chance."""
 
 ROUNDS: Final = 3
 """Mistakes that are looked for one after another."""
@@ -88,9 +93,10 @@ def contradictions(evidence: DiagnoseInput) -> list[Finding]:
         found = [replace(one, edit=unsure[k] or one.edit) for k, one in enumerate(found)]
     # A mistake that is found again once it is corrected has no number that anybody should apply.
     times = Counter((one.name, one.joints) for one in found)
-    return [
+    found = [
         replace(one, severity=WARNING) if times[one.name, one.joints] > 1 else one for one in found
     ]
+    return [*found, *torque_scale(evidence, found)]
 
 
 def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
@@ -100,14 +106,35 @@ def _ranked_candidates(current: Hypothesis) -> list[Candidate]:
         return []
     rough = current.fit.cost >= ROUGH
     searches = [search for search in SEARCHES if rough or search not in OF_JOINTS]
-    candidates = _ranked(current, searches)
-    if candidates and candidates[0].share(current) < EXPLAINED and current.fit.cost > FOREIGN:
-        foreign = [one for one in _ranked(current, [other_robot]) if one.share(current) >= FITTING]
-        candidates = _sorted(current, [*candidates, *foreign])
+    tried = _tried(current, searches)
+    candidates = _sorted(current, tried)
+    if rough and not (candidates and candidates[0].share(current) >= EXPLAINED):
+        candidates = _sorted(current, _hidden_by_load(current, tried))
+    is_explained = bool(candidates) and candidates[0].share(current) >= EXPLAINED
+    if current.fit.cost > FOREIGN and not is_explained:
+        robots = [
+            one if one.share(current) >= FITTING else replace(one, most=WARNING)
+            for one in _tried(current, [other_robot])
+        ]
+        candidates = _sorted(current, [*candidates, *robots])
     if not candidates or candidates[0].evidence(current) < DOUBTFUL:
         return []
     candidates = _sorted(current, [*candidates, *_ranked(current, [link_inertia])])
     return _looked_ahead(candidates, current)
+
+
+def _hidden_by_load(current: Hypothesis, tried: Sequence[Candidate]) -> list[Candidate]:
+    """Return the candidates, those that gain little with what a load gains after them: neither is
+    visible without the other."""
+    weak = [k for k, one in enumerate(tried) if one.gain(current) > 0 and one.name != LOAD]
+    weak.sort(key=lambda k: -tried[k].gain(current))
+    found = list(tried)
+    for k in weak[:AHEAD]:
+        if found[k].evidence(current) < DOUBTFUL:
+            # Less than what the candidate has to add to a load that explains as much alone.
+            after = _after(found[k], [of_torque.tool_load], SURE) - DOUBTFUL
+            found[k] = replace(found[k], ahead=max(after, 0.0))
+    return found
 
 
 def _looked_ahead(candidates: Sequence[Candidate], current: Hypothesis) -> list[Candidate]:
@@ -115,7 +142,7 @@ def _looked_ahead(candidates: Sequence[Candidate], current: Hypothesis) -> list[
     of a load with the best after it: mistakes hide a load that the model lacks, and the reverse."""
     found = list(candidates)
     for k, one in enumerate(found[:AHEAD]):
-        if one.name != LOAD and one.evidence(current) >= DOUBTFUL:
+        if one.name != LOAD and not one.ahead and one.evidence(current) >= DOUBTFUL:
             found[k] = replace(one, ahead=_after(one, [of_torque.tool_load], SURE))
     found = _sorted(current, found)
     at = next((k for k, one in enumerate(found) if one.name == LOAD), 0)
@@ -134,6 +161,10 @@ def _after(first: Candidate, searches: Sequence[Search], least: float) -> float:
 
 
 def _ranked(current: Hypothesis, searches: Sequence[Search]) -> list[Candidate]:
+    return _sorted(current, _tried(current, searches))
+
+
+def _tried(current: Hypothesis, searches: Sequence[Search]) -> list[Candidate]:
     """Candidates of some searches, each with the number of sets of joints, or of robots, that its
     search has tried."""
     found: list[Candidate] = []
@@ -141,7 +172,7 @@ def _ranked(current: Hypothesis, searches: Sequence[Search]) -> list[Candidate]:
         some = list(search(current))
         count = len({(one.joints, one.edit if one.name == "robot" else "") for one in some})
         found += [replace(one, choices=count) for one in some]
-    return _sorted(current, found)
+    return found
 
 
 def _sorted(current: Hypothesis, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -155,6 +186,17 @@ def _is_visible(candidate: Candidate, current: Hypothesis) -> bool:
     removed, least = candidate.removed(current), LEAST * current.fit.cost
     of_some = len(candidate.joints) < current.evidence.count
     return candidate.is_gross or removed >= (min(NOTICED, least) if of_some else least)
+
+
+def _is_disputed(best: Candidate, candidates: Sequence[Candidate], before: Hypothesis) -> bool:
+    """True where gains that are far apart are about as likely: none is one to apply."""
+    if best.name != GAIN:
+        return False
+    gains, least = np.abs(np.diag(best.hypothesis.mixing)), RIVAL * best.gain(before)
+    rivals = [one for one in candidates if one.name == GAIN and one.gain(before) >= least]
+    others = [np.abs(np.diag(one.hypothesis.mixing)) for one in rivals]
+    far = of_torque.APART
+    return any(bool(((one > far * gains) | (gains > far * one)).any()) for one in others)
 
 
 def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
@@ -175,9 +217,12 @@ def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:
     ]
     # Where the recording may be intact it is usable, and nobody has to correct it.
     certain = all(one.most == ERROR for one in (best, *likely))
-    large = best.is_gross or best.removed(before) >= LARGE
+    # A robot that an explanation fits worse than the joint it is about is not explained by it.
+    large = best.is_gross or (best.removed(before) >= LARGE and best.share(before) > 0)
     sure = best.evidence(before) - best.ahead >= SURE and large
     severity = ERROR if certain and sure else WARNING if best.most == ERROR else best.most
+    if _is_disputed(best, candidates, before):
+        best = replace(best, edit=best.doubt or best.edit)
     others = "".join(f" (or, as likely: {one.message})" for one in likely)
     return Finding(
         name=best.name,

@@ -187,11 +187,15 @@ class DiagnoseInput:
         """RMS (n,) of the filtered torque."""
         return np.asarray(np.sqrt((self.torque**2).mean(axis=0)))
 
+    @property
+    def fit_rows(self) -> slice:
+        """No more than ROWS of the samples of `motion`."""
+        return slice(0, None, max(1, -(-len(self.motion) // ROWS)))
+
     @cached_property
     def fit_samples(self) -> tuple[JointMotion, Array]:
-        """Motion and torque at no more than ROWS samples."""
-        rows = slice(0, None, max(1, -(-len(self.motion) // ROWS)))
-        return self.motion.rows(rows), self.torque[rows]
+        """Motion and torque at these samples."""
+        return self.motion.rows(self.fit_rows), self.torque[self.fit_rows]
 
     @cached_property
     def _links(self) -> tuple[tuple[str, ...], Array]:

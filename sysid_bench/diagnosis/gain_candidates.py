@@ -6,13 +6,16 @@ The gains k and the links theta that minimise sum_j |k_j tau_j - W_j theta - fri
 torque on the recorded one, and the links of the scaled torques. Factors on torques change nothing.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
 
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
+from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import NORMAL, Candidate, Hypothesis, gain_edits
 from sysid_bench.diagnosis.near_model import PENALTY
+from sysid_bench.signals.torque_scale import scale_contradiction
 from sysid_bench.types import Array
 
 TURNS: Final = 8
@@ -27,6 +30,12 @@ ALIKE: Final = np.log(1.5)
 """Gains that differ by less are one factor."""
 EXACT: Final = 1e-5
 """Least mean squared residual, relative to a joint's torque, of an interval of a gain."""
+FOLLOWS: Final = 0.5
+"""Share of a torque beyond friction that the model file's explains."""
+LEAST: Final = 3.0
+"""Least N m per A of a geared drive: masses of model files are less wrong."""
+RIVAL: Final = 0.75
+"""Evidence of a load over that of the first explanation, from which currents are a doubt."""
 BLIND: Final = "joints whose torque is mostly friction; models without masses"
 
 
@@ -81,6 +90,56 @@ def joint_gains(before: Hypothesis) -> Iterator[Candidate]:
         BLIND, unknowns=unknowns, doubt=doubt, interval=interval,
         estimate=_times(gains[hit[0]]) if interval else "",
     )  # fmt: skip
+
+
+def drive_currents(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield the candidate in which torques are currents of geared drives: those of the model file
+    on several joints, each times a small factor, and a sign, of its own."""
+    e, n = before.evidence, before.evidence.count
+    parts = np.array([_without_terms(before, j, np.zeros(before.model.rank))[-2:, -2:]
+                      for j in range(n)])  # fmt: skip
+    of_file, both, recorded = parts[:, 0, 0], parts[:, 0, 1], parts[:, 1, 1]
+    follows = both**2 > FOLLOWS * of_file * recorded
+    gains = of_file[follows] / both[follows]
+    if e.placeholder or len(gains) < 2 or np.abs(gains).min() < LEAST:
+        return
+    logs = np.log(np.abs(gains))
+    if np.ptp(logs) < ALIKE and np.ptp(np.sign(gains)) == 0:
+        return  # one gain of all joints
+    every = np.full(n, float(np.exp(np.median(logs))))
+    every[follows] = gains
+    listed = ", ".join(f"{e.joints[j]} {every[j]:.3g}" for j in np.flatnonzero(follows))
+    edit, doubt = gain_edits(e, np.abs(every), WIDEST)
+    yield Candidate(
+        "current", tuple(range(n)), before.with_torque(np.diag(every)),
+        "torques follow those of the model file, each at a factor of its own "
+        f"({listed} times too small): currents?",
+        f'{edit}, and unit = "A" where these are currents', BLIND, unknowns=float(n), doubt=doubt,
+    )  # fmt: skip
+
+
+def torque_scale(evidence: DiagnoseInput, found: Sequence[Finding]) -> Iterator[Finding]:
+    """Yield currents, or torques of motors, that no finding yet refuses: torques that follow those
+    of the model at another scale; a doubt where a load explains them.
+
+    A model that is fitted to them is as good on their own motion, and wrong by their gains.
+    """
+    e, described = evidence, evidence.log.description.tau
+    is_stated = "A" in (described.unit or ()) or described.pd is not None
+    if is_stated or e.placeholder or any(one.is_error for one in found):
+        return
+    recording = e.log.recording
+    q = recording.q[:, e.position_columns]
+    reason = scale_contradiction(q, e.torque_samples, recording.t, e.robot, e.joints, sure=True)
+    if reason:
+        tables = [one.alternatives for one in found if one.alternatives]
+        is_load = any(one.name == "load" and one.evidence > RIVAL * rows[0].evidence
+                      for rows in tables for one in rows)  # fmt: skip
+        severity = WARNING if is_load else ERROR
+        yield Finding(
+            "current", severity, f"tau does not hold torques of joints in N m: {reason}", e.joints,
+            edit="tau = { unit = 'A', gain = ... }, or ratio = ... of the gears", blind=BLIND,
+        )  # fmt: skip
 
 
 def _times(factor: float) -> str:

@@ -1,7 +1,7 @@
 """Hypotheses: recordings with a mistake undone, how well a robot near the model fits them, and the
 edits of a log's description that undo the mistake."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -158,7 +158,7 @@ class Candidate:
         )
 
 
-def joint_factors(n: int, joints: Sequence[int], factor: float) -> Array:
+def joint_factors(n: int, joints: Collection[int], factor: float) -> Array:
     """Return factors (n,): one for some of the joints, 1 for the others."""
     factors = np.ones(n)
     factors[list(joints)] = factor

@@ -133,6 +133,8 @@ def other_robot(before: Hypothesis) -> Iterator[Candidate]:
         except (SysidBenchError, OSError):
             continue
         kinds = tuple(joint.kind for joint in robot.joints)
+        # Gravity is that of the model that is judged: it is stated, and no property of a robot.
+        robot = replace(robot, tree=replace(robot.tree, gravity=e.robot.tree.gravity))
         if robot.name == e.robot.name or kinds != e.kinds or robot.coupling is not None:
             continue
         yield Candidate(

@@ -27,6 +27,12 @@ GROUPS: Final[Sequence[tuple[str, Sequence[Callable[[DiagnoseInput], Iterable[Fi
 """Groups of checks: a contradiction in one makes the findings of later ones meaningless."""
 
 
+UNITS: Final = "units"
+EXCHANGES: Final = (UNITS, "columns")
+"""Name of the contradiction that numbers are beyond what their joint reaches, and of those that
+explain it."""
+
+
 def diagnose(evidence: DiagnoseInput, accept: Collection[str] = ()) -> list[Finding]:
     """Return the findings, the gravest first, of these those with alternatives, and then in the
     order of the groups, up to the first contradiction whose name is not in `accept`.
@@ -36,13 +42,22 @@ def diagnose(evidence: DiagnoseInput, accept: Collection[str] = ()) -> list[Find
     findings: list[Finding] = []
     for _, checks in GROUPS:
         found = [finding for check in checks for finding in check(evidence)]
-        if any(one.is_error for one in findings):
+        if any(one.is_error and one.name != UNITS for one in findings):
             found = [replace(one, severity=WARNING) if one.is_error else one for one in found]
+        # Numbers beyond the limits of their joint may be those of another one, and nothing else.
+        is_last = contradictions in checks
+        if is_last and contradictions_left(findings, accept) and _first(found) not in EXCHANGES:
+            found = []
         findings += found
-        if contradictions_left(findings, accept):
+        passed = () if is_last else (UNITS,)
+        if contradictions_left(findings, {*accept, *passed}):
             break
     # A defect of a channel costs accuracy; what contradicts the model makes the answer wrong.
     return sorted(findings, key=lambda one: (SEVERITIES.index(one.severity), not one.alternatives))
+
+
+def _first(found: Sequence[Finding]) -> str:
+    return found[0].name if found else ""
 
 
 def contradictions_left(findings: Sequence[Finding], accept: Collection[str]) -> list[Finding]:

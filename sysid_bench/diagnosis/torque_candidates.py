@@ -1,13 +1,14 @@
 """Candidates that change torques: their signs, columns and gains, and a load at the tool."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.diagnose_input import TOOL, DiagnoseInput
+from sysid_bench.diagnosis.channel_checks import touches
+from sysid_bench.diagnosis.diagnose_input import TOOL, DiagnoseInput, terms
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.diagnosis.gain_candidates import WIDEST
 from sysid_bench.diagnosis.hypothesis import (
@@ -26,18 +27,25 @@ from sysid_bench.evaluation.intervals import coverage_factor, level_text
 from sysid_bench.models.model_checks import length
 from sysid_bench.types import Array
 
+SIGNINGS: Final = 3
+"""Fits, each to a torque with the signs of the fit before."""
+SIGNS: Final = 2.0 * float(np.log(2.0))
+"""Twice the logarithm of the odds of a sign where a torque comes down to zero."""
 EXCHANGED: Final = 0.5
 """Cost below which three or more columns cannot be exchanged."""
 
 FACTORS: Final = np.logspace(-4, 4, 9)
 """Gains tried: one to a decade; the best one is refined by steps that are halved."""
+GAINS: Final = (5.0, 10.0, 20.0, 50.0)
+"""N m per A of common geared drives."""
 HALVED: Final = 7
 LIKELY: Final = 1.25
 """A gain of one joint that may be as small lies within the spread of masses."""
 SMALLEST: Final = 1.8
 """A smaller gain may be the spread of masses between a model file and its robot as well."""
-SAME: Final = 3.0
-"""A gain of all joints that may be smaller may be that of all masses: nothing tells them apart."""
+SAME: Final = 5.0
+"""A gain of all joints that may be smaller may be that of all masses, which nothing tells apart: a
+public model of a surgical robot states four times its masses."""
 APART: Final = 3.0
 """Factor of one joint that fits better beside the common one: that is not common, then."""
 GROSS: Final = 10.0
@@ -68,6 +76,45 @@ def torque_direction(before: Hypothesis) -> Iterator[Candidate]:
         negated, edit = before.with_torque(np.diag(signs)), setting_edit(e, "tau", "gain", signs)
         blind = "a joint with almost no friction, load and inertia"
         yield Candidate("sign", joints, negated, f"the {whose} the opposite sign", edit, blind)
+
+
+def torque_magnitude(before: Hypothesis) -> Iterator[Candidate]:
+    """Yield candidates with signs for a torque of one sign that comes down to zero: those that a
+    robot near the model gives it."""
+    e = before.evidence
+    for j, column in enumerate(e.columns):
+        count = touches(e.raw.tau[:, column])
+        if count < 1:
+            continue
+        W, friction = e.regressor(before.motion)[:, j], terms(before.motion)[:, j]
+        # First the links that the other torques ask for, then those of the signed one as well.
+        signed = before.with_torque(np.diag(joint_factors(e.count, [j], 0.0)))
+        for _ in range(SIGNINGS):
+            torque = W @ signed.fit.links + friction @ signed.fit.terms[j]
+            signed = _signed(before, j, torque)
+        # A torque whose sign is wrong throughout may only lack one.
+        negated = before.with_torque(np.diag(joint_factors(e.count, [j], -1.0)))
+        if signed.fit.score > negated.fit.score - SIGNS * count:
+            continue
+        yield Candidate(
+            "magnitude", (j,), signed, f"the torque of {e.joints[j]} has no sign: it never crosses "
+            "zero where a robot near the model asks for it",
+            "tau = { columns = [...] }: torques or currents with their signs",
+            "joints that gravity loads to one side",
+            # Each time that the torque comes down to zero its sign may change or not.
+            unknowns=SIGNS * count,
+        )  # fmt: skip
+
+
+def _signed(before: Hypothesis, j: int, torque: Array) -> Hypothesis:
+    """The hypothesis with a recorded torque of joint j that has the signs of another one."""
+    e, recording = before.evidence, before.evidence.log.recording
+    at = np.arange(len(recording))[e.kept][e.fit_rows]
+    tau = recording.tau.copy()
+    row = e.torque_columns[j]
+    tau[:, row] = np.abs(tau[:, row]) * np.sign(np.interp(np.arange(len(tau)), at, torque))
+    log = replace(e.log, recording=replace(recording, tau=tau))
+    return replace(before, evidence=replace(e, log=log), given=None)
 
 
 def torque_columns(before: Hypothesis) -> Iterator[Candidate]:
@@ -121,13 +168,64 @@ def torque_gain(before: Hypothesis) -> Iterator[Candidate]:
 def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
     e, is_common = before.evidence, len(joints) == before.evidence.count
 
-    def scaled(factor: float, some: Sequence[int] = joints) -> Hypothesis:
+    def scaled(factor: float, some: Collection[int] = joints) -> Hypothesis:
         return before.with_torque(np.diag(joint_factors(e.count, some, factor)))
 
-    scores = [scaled(factor).fit.score for factor in FACTORS]
-    factor, best = float(FACTORS[np.argmin(scores)]), min(scores)
-    if factor in FACTORS[[0, -1]]:
+    if (minimum := _best_factor(before, scaled, is_common)) is None:
         return
+    factor, half = minimum
+    size, least = max(factor, 1 / factor), 1.0 if is_common else LIKELY
+    # The interval has to leave 1 out; links or a tool of which the file says nothing may be far
+    # heavier.
+    if half >= np.log(size / (FREE if e.placeholder and factor < 1 else least)):
+        return
+    # No link may need a negative mass; links without one in the file are left aside.
+    found = scaled(factor)
+    heaviest = found.fit.links[::10] + NORMAL * e.link_std[::10] * np.sqrt(found.variances[::10])
+    half *= found.strain
+    if (is_common and half > WIDEST) or not (e.placeholder or (heaviest >= 0).all()):
+        return
+    names, cause = "all joints" if is_common else e.joints[joints[0]], _cause(size, half)
+    if is_common and size >= SMALLEST and cause not in KNOWN.values():
+        # The fewest joints that explain as much, first those without which the others explain least
+        order = sorted(joints, key=lambda j: -scaled(factor, {*joints} - {j}).fit.score)
+        some = (scaled(factor, order[:k]) for k in range(2, e.count))
+        limit = found.fit.score + NORMAL**2
+        if fewer := next((k for k, one in enumerate(some, 2) if one.fit.score < limit), 0):
+            joints = tuple(sorted(order[:fewer]))
+            names, found = ", ".join(e.joints[j] for j in joints), scaled(factor, joints)
+            cause += "; the torques of the other joints do not decide it"
+        # Currents have a factor of their own in each joint: the common one is none of them.
+        own = (joint_factors(e.count, [j], k) for j in joints for k in (1 / APART, APART))
+        score = found.fit.score - NORMAL**2
+        if any(found.with_torque(np.diag(one)).fit.score < score for one in own):
+            half = max(half, float(np.log(APART)))
+    interval = float(size * np.exp(-half)), float(size * np.exp(half))
+    is_number, ends = half <= WIDEST, " to ".join(f"{float(f'{end:.2g}'):g}" for end in interval)
+    number = f"{size:.3g}" if is_number else ends
+    estimate = f"{number} times too {'small' if factor > 1 else 'large'}"
+    between = f"{level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}]"
+    most = ERROR if is_number and interval[0] >= (SAME if is_common else SMALLEST) else WARNING
+    edit, doubt = gain_edits(e, joint_factors(e.count, joints, factor), half)
+    # What the other joints leave open may be a gain of its own in each of these, as of currents.
+    edit = doubt if is_common and len(joints) < e.count else edit
+    yield Candidate(
+        "gain", joints, found, f"the torque of {names} is about {estimate} ({between}): {cause}",
+        edit, BLIND_GAIN, most=most, doubt=doubt, estimate=estimate, interval=interval,
+        # Links without mass fit small torques as well, at no cost but the prior's.
+        is_gross=is_common and interval[0] > GROSS and e.placeholder == "",
+    )  # fmt: skip
+
+
+def _best_factor(
+    before: Hypothesis, scaled: Callable[[float], Hypothesis], is_common: bool
+) -> tuple[float, float] | None:
+    """Return the gain of the least score, and half of the 95 % interval of its logarithm; None
+    where nothing decides one of its ends, or where it is 1."""
+    scores = np.array([scaled(factor).fit.score for factor in FACTORS])
+    factor, best = float(FACTORS[np.argmin(scores)]), float(scores.min())
+    if factor in FACTORS[[0, -1]]:
+        return None
     for halved in range(HALVED):
         step = WIDEST * 0.5**halved
         near = [factor * np.exp(-step), factor * np.exp(step)]
@@ -135,46 +233,25 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
         if min(beside) < best:
             factor, best = near[int(np.argmin(beside))], min(beside)
         if factor == 1 and halved and not is_common:
-            return  # what is left are gains within the spread of masses
+            return None  # what is left are gains within the spread of masses
+    limit = best + NORMAL**2
+    if min(before.fit.score, scores[0], scores[-1]) <= limit:
+        return None
     low, high = (scaled(factor * np.exp(one)).fit.score for one in (-0.1, 0.1))
-    size, half = max(factor, 1 / factor), curvature_half(low, best, high, 0.1)
-    # The 95 % interval has to have two ends, to leave 1 out and to hold less than a decade, or the
-    # recording says nothing; links or a tool of which the file says nothing may be far heavier.
-    closed = min(before.fit.score, scores[0], scores[-1]) > best + NORMAL**2
-    least = 1.0 if is_common else LIKELY
-    least = FREE if e.placeholder and factor < 1 else least
-    if not (closed and half < min(np.log(size / least), WIDEST)):
-        return
-    # No link may need a negative mass; links without one in the file are left aside.
-    found = scaled(factor)
-    heaviest = found.fit.links[::10] + NORMAL * e.link_std[::10] * np.sqrt(found.variances[::10])
-    half *= found.strain
-    if half > WIDEST or not (e.placeholder or (heaviest >= 0).all()):
-        return
-    names, cause = "all joints" if is_common else e.joints[joints[0]], _cause(size, half)
-    if is_common and size >= SMALLEST and cause not in KNOWN.values():
-        others = {j: scaled(factor, [i for i in joints if i != j]) for j in joints}
-        deciding = [j for j in joints if others[j].fit.score > best + NORMAL**2]
-        if 1 < len(deciding) < len(joints):
-            names = ", ".join(e.joints[j] for j in deciding)
-            cause += "; the torques of the other joints do not decide it"
-            joints, found = tuple(deciding), scaled(factor, deciding)
-        # Currents have a factor of their own in each joint: the common one is none of them.
-        own = (joint_factors(e.count, [j], k) for j in joints for k in (1 / APART, APART))
-        score = found.fit.score - NORMAL**2
-        if any(found.with_torque(np.diag(one)).fit.score < score for one in own):
-            half = max(half, float(np.log(APART)))
-    interval = float(size * np.exp(-half)), float(size * np.exp(half))
-    estimate = f"{size:.3g} times too {'small' if factor > 1 else 'large'}"
-    between = f"{level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}]"
-    most = ERROR if interval[0] >= (SAME if is_common else SMALLEST) else WARNING
-    edit, doubt = gain_edits(e, joint_factors(e.count, joints, factor), half)
-    yield Candidate(
-        "gain", joints, found, f"the torque of {names} is about {estimate} ({between}): {cause}",
-        edit, BLIND_GAIN, most=most, doubt=doubt, estimate=estimate, interval=interval,
-        # Links without mass fit small torques as well, at no cost but the prior's.
-        is_gross=is_common and interval[0] > GROSS and e.placeholder == "",
-    )  # fmt: skip
+    half = curvature_half(low, best, high, 0.1)
+    inside = np.flatnonzero(scores < limit)
+    if half <= WIDEST or is_common or not len(inside):
+        return (factor, half) if half <= WIDEST else None
+    # Over decades scores are far from parabolas: of a joint whose torque is certainly wrong, though
+    # no number is, the ends of the interval are where they cross the limit.
+    ends = []
+    for i, out in ((inside[0], -1), (inside[-1], 1)):
+        share = (limit - scores[i]) / (scores[i + out] - scores[i])
+        ends.append(np.log(FACTORS[i]) + out * share * np.log(10.0))
+    nearest = ends[0] if ends[0] > 0 else -ends[1]
+    if nearest < np.log(SAME):
+        return None
+    return float(np.exp(np.mean(ends))), float(np.ptp(ends)) / 2
 
 
 def open_gains(evidence: DiagnoseInput) -> Iterator[Finding]:
@@ -189,13 +266,30 @@ def open_gains(evidence: DiagnoseInput) -> Iterator[Finding]:
             low = possible.min() if possible.min() > FACTORS[0] else 0.0
             names.append(evidence.joints[j])
             listed.append(f"{names[-1]} {low:.3g} to {possible.max():.3g}")
-    if names:
+    if _is_scale_open(before):
+        yield Finding(
+            "undecided", WARNING,
+            "the recording does not tell torques in N m from currents in A or torques of motors: "
+            "all of them times 5 or more fit the model as well",
+            evidence.joints, blind="motions whose torque is mostly friction",
+            edit='tau = { unit = "N m" } where that is sure, else gain or ratio = [...]',
+        )  # fmt: skip
+    elif names:
         yield Finding(
             "undecided", NOTE,
             "the recording does not decide the gain of joints whose torque is mostly friction "
             f"(times the stated one: {', '.join(listed)}): the stated one is accepted",
             tuple(names), edit="compare with the data sheet of the drive",
         )  # fmt: skip
+
+
+def _is_scale_open(before: Hypothesis) -> bool:
+    """True where nobody states the unit of the torques, and gains of drives fit them as well."""
+    tau, one = before.evidence.log.description.tau, np.eye(before.evidence.count)
+    if tau.unit is not None or tau.pd is not None or before.evidence.placeholder:
+        return False
+    scores = [before.with_torque(one * gain).fit.score for gain in GAINS]
+    return min(scores) < before.fit.score + NORMAL**2
 
 
 def _cause(size: float, half: float) -> str:
@@ -205,6 +299,8 @@ def _cause(size: float, half: float) -> str:
         return "a drive constant, or links that are as much heavier or lighter than in the file"
     if size <= 20:
         return "a drive constant or a gear"
+    if half > WIDEST:
+        return "a gear ratio or a drive constant, or a balance that the model lacks"
     known = next((text for k, text in KNOWN.items() if abs(np.log(size / k)) < CLOSE), "")
     if known and half < CLOSE:
         return known

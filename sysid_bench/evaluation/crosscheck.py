@@ -1,5 +1,5 @@
 """Cross-check of a robot: our regressor against the second engine's, Pinocchio where it is there,
-its torques against MuJoCo's.
+its torques against MuJoCo's, and our steps of simulations against MuJoCo's.
 
 Of coupled joints also the reduced regressor, the constrained dynamics, the Jacobian G and closure.
 """
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+import mujoco
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
@@ -22,7 +23,10 @@ from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.regression import regression
+from sysid_bench.simulation.elastic_drives import Drive
 from sysid_bench.simulation.inverse import independent_rows, inverse_torque
+from sysid_bench.simulation.plant import Plant
+from sysid_bench.simulation.plant_batch import PlantBatch, uncovered
 from sysid_bench.types import Array, Trajectory
 
 REDUCED_GAP: Final = 1e-10
@@ -149,6 +153,13 @@ GAP: Final = 1e-12
 CLOSURE: Final = 1e-11
 """Relative tolerances; both engines agree to 1e-14 on every model measured."""
 
+SIMULATION_GAP: Final = 1e-9
+"""rad, m: of positions after FALL steps. Light links and fast states amplify rounding errors;
+measured: 1e-15 to 1e-13."""
+
+FALL: Final = 100
+"""Steps of 1 ms in which a robot falls from a random state; later, its motion may be chaotic."""
+
 SEED: Final = 1
 
 
@@ -159,6 +170,8 @@ class Crosscheck:
     `gap`: max |Y - Y_pin| / max |Y_pin|; `closure`: max |Y theta + armature a - tau_MuJoCo| /
     max |tau_MuJoCo|; `native_gap`: as `gap`, with the model read by Pinocchio's own URDF parser, or
     None with `native_reason`; `gap_map` (rows, p): largest |Y - Y_pin| over the samples.
+    `simulation_gap`: largest difference (rad, m) of positions that our steps and MuJoCo's simulate,
+    or None with `simulation_reason`, for which MuJoCo alone simulates the robot.
     """
 
     gap: float
@@ -169,6 +182,8 @@ class Crosscheck:
     columns: tuple[str, ...]
     coupling: CouplingCheck | None = None
     engine: str = "pinocchio"  # the second one, Y_pin above
+    simulation_gap: float | None = None
+    simulation_reason: str = ""
 
     def ok(self, tolerance: float = GAP) -> bool:
         """Return True if all errors are within their tolerances; NaN is not."""
@@ -194,6 +209,8 @@ class Crosscheck:
         figures = [("gap", self.gap, tolerance), ("closure", self.closure, CLOSURE)]
         if self.native_gap is not None:
             figures.append(("native gap", self.native_gap, tolerance))
+        if self.simulation_gap is not None:
+            figures.append(("simulation gap", self.simulation_gap, SIMULATION_GAP))
         return _above(figures)
 
 
@@ -214,7 +231,9 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
     """
     if robot.coupling is not None:
         tree = crosscheck(robot.without_coupling, samples, native)
-        return replace(tree, coupling=check_coupling(robot, samples))
+        coupled = "coupled joints: gap of the tree, MuJoCo simulates the robot"
+        reason = tree.simulation_reason or coupled
+        return replace(tree, coupling=check_coupling(robot, samples), simulation_reason=reason)
     motion = random_states(robot, samples, np.random.default_rng(SEED))
     Y = regression(robot, robot.inertial_columns).dense(motion).Y
     reference = reference_regressor(robot, motion).Y
@@ -228,6 +247,7 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
             native_gap = relative_error(Y - parsed, parsed)
         except UnsupportedError as error:
             reason = str(error)
+    fall, uncovered_reason = simulation_gap(robot)
     return Crosscheck(
         gap=relative_error(Y - reference, reference),
         closure=relative_error(predicted - tau, tau),
@@ -236,4 +256,42 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
         gap_map=np.abs(Y - reference).max(axis=0),
         columns=robot.inertial_columns,
         engine=second_engine(),
+        simulation_gap=fall,
+        simulation_reason=uncovered_reason,
     )
+
+
+def simulation_gap(robot: RobotModel) -> tuple[float | None, str]:
+    """Return the largest difference (rad, m) of the positions of a robot that falls from random
+    states, by lanes.c and by MuJoCo; or None with the reason why lanes.c does not simulate it.
+
+    Without Coulomb friction, whose sticking MuJoCo's solver leaves inexact by 1e-8.
+    """
+    none = np.zeros(robot.nv)
+    plant = Plant(robot, replace(robot.joint_terms, coulomb=none, offset=none))
+    mj = plant.contact_free_model
+    mj.opt.integrator, mj.opt.timestep = int(mujoco.mjtIntegrator.mjINT_EULER), 1e-3
+    mj.dof_frictionloss[:] = 0.0
+    if reason := uncovered(plant, mj):
+        return None, reason
+    mj.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)  # motors of the file
+    states = random_states(robot, 2, np.random.default_rng(SEED))
+    empty = np.zeros(0)
+    motors = Drive(empty.astype(int), empty, empty, empty, held=False, smooth=False)
+    t, control = 1e-3 * np.arange(FALL), np.zeros((FALL, 0))
+    ours = PlantBatch(
+        mj, [plant] * 2, motors, t=t, control=control, q=states.q, v=states.v, each=1
+    ).run()
+    gaps = []
+    for k, q in enumerate(ours.q):
+        data = mujoco.MjData(mj)
+        data.qpos[:], data.qvel[:] = states.q[k], states.v[k]
+        theirs = [states.q[k]]
+        for _ in range(FALL - 1):
+            mujoco.mj_step(mj, data)
+            theirs.append(np.array(data.qpos))
+        if not np.isfinite(theirs).all():
+            return None, "MuJoCo's steps of 1 ms diverge"
+        gaps.append(float(np.abs(q - theirs).max()))
+    # NaN stays NaN, which is above every tolerance.
+    return float(np.max(gaps)), ""

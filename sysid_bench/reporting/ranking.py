@@ -218,7 +218,7 @@ def method_ratio(
     deciding = by_robot["replaced" if is_replaced else "fallback"]
     own = answered & converged if is_replaced else answered
     known = deciding[~np.isnan(deciding)]
-    share = 1.0 - own.sum() / max(planned.sum(), 1)
+    fallbacks = int((planned & ~own).sum())
     given = cases.noise_free & cases.has_row[:, m]
     lost = cases.status[planned & ~answered, m].tolist()
     statuses = Counter("no value" if status == _OK else status for status in lost)
@@ -232,7 +232,7 @@ def method_ratio(
         laws=(int((cases.errors[given, m] <= BROKEN).sum()), int(given.sum())),
         p=rank_test_p(known),
         smallest_p=least_p(int(np.count_nonzero(known))),
-        verdict=_verdict(known, margin, share),
+        verdict=_verdict(known, margin, fallbacks, int(planned.sum())),
         logs=deciding,
         ratios=np.where(answered, np.exp(logs), np.nan)[planned],
         reason=cases.reasons.get(method, ""),
@@ -246,7 +246,7 @@ def _robot_means(cases: RankingCases, logs: Array, which: Array) -> Array:
     return mean_by_robot(cases.robots, np.where(which, logs, np.nan), names)
 
 
-def _verdict(logs: Array, margin: float, fallbacks: float) -> str:
+def _verdict(logs: Array, margin: float, fallbacks: int, cells: int) -> str:
     """Verdict from the interval; that of a method which often has no own answer may only be worse
     or undecided, since the answers are those of the reference."""
     ends = median_interval(logs)
@@ -254,7 +254,8 @@ def _verdict(logs: Array, margin: float, fallbacks: float) -> str:
         return UNDECIDED
     # From the interval and not from p, which says nothing of the size of a difference.
     found = verdict(*ends, margin)
-    return UNDECIDED if fallbacks > MOST_FALLBACKS and found != "worse" else found
+    often = fallbacks > MOST_FALLBACKS * cells
+    return UNDECIDED if often and found != "worse" else found
 
 
 def find_copied(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:

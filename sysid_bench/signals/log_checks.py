@@ -194,7 +194,11 @@ def check_rates(
     if len(agreeing) == 0:
         return found, None
     # A wrong rate scales the ratios of all joints alike, wrong columns and units those of one.
-    common = float(np.median(np.abs(ratios[agreeing])))
+    sizes = np.abs(ratios[agreeing])
+    common = float(np.median(sizes))
+    # Joints that do not agree with each other, as of exchanged columns, have no rate in common.
+    if 2 * np.count_nonzero(np.abs(sizes / common - 1) < _JOINT_ERROR) <= len(agreeing):
+        common = 1.0
     if abs(common - 1) > _RATE_ERROR:
         text = (
             f"a rate of {rate:.6g} Hz is declared, but v and the differences of q agree at "

@@ -41,7 +41,7 @@ def scale_contradiction(
 ) -> str:
     """Return the reason for which tau (N, k) is not a torque of the joints in N m, "" where it may
     be one: it has no sign, or follows the model's torque along q (N, k) at another scale; `sure`: a
-    positive one in all joints, since a negative one is another mistake, or that of the model."""
+    positive one below that of torques in all joints, since other ones are of other mistakes."""
     rows = ~check_finite(q, tau, t[:, None])
     q, tau, t = q[rows][:_ROWS], tau[rows][:_ROWS], t[rows][:_ROWS]
     if len(tau) and tau.min() >= 0 and (np.ptp(tau, axis=0) > 0).all():
@@ -50,7 +50,8 @@ def scale_contradiction(
     if fit is None or q.shape != tau.shape:
         return ""
     score, slopes, _ = fit.follows(tau)
-    if score < FOLLOWS or is_torque_scale(slopes) or (sure and slopes.min() <= 0):
+    is_below = bool(len(slopes)) and slopes.min() > 0 and slopes.max() < _SLOPES[0]
+    if score < FOLLOWS or is_torque_scale(slopes) or (sure and not is_below):
         return ""
     by_model = ""
     if slopes.min() > 0:

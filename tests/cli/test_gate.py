@@ -164,6 +164,11 @@ def test_exact_lists_what_moved_and_fails_nothing(cli: Run, saved: Path) -> None
     saved.write_text(to_text(replace(other, digits=7)))
     refused = one_sentence(cli("gate", "run", "--baseline", "b.json", "--exact"))
     assert "holds 7 digits" in refused
+    words = re.search("'sysid-bench (baseline save RUN -o exact.json)'", refused)
+    assert words is not None
+    assert cli(*words[1].replace("RUN", "run").split()).returncode == 0
+    done = cli("gate", "run", "--baseline", "exact.json", "--exact")
+    assert (done.returncode, "no value moved" in done.stdout) == (0, True), done.stdout
     assert cli("gate", "run", "--baseline", "b.json").returncode == 0
     old = json.loads(saved.read_text())
     del old["digits"]

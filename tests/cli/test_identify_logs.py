@@ -10,9 +10,12 @@ import pytest
 from click.testing import CliRunner
 
 from sysid_bench import package_folders
-from sysid_bench.commands.diagnose import check_torque_units
+from sysid_bench.commands.diagnose import check_contradictions
 from sysid_bench.commands.identify import identify
 from sysid_bench.commands.main import main
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
+from sysid_bench.diagnosis.gain_candidates import torque_scale
+from sysid_bench.diagnosis.run_checks import diagnose
 from sysid_bench.errors import EstimationError, UnsupportedError, UsageError
 from sysid_bench.experiments.recorded.process_log import ProcessedLog, lock_manifest
 from sysid_bench.models.data_sets import find_dataset
@@ -169,10 +172,22 @@ def test_currents_declared_as_torques_are_refused(
     """A fit to them is as good on their own motion, and wrong by every gain."""
     monkeypatch.setenv("SYSID_BENCH_DATA", str(data_folder))
     logs = [read_again(motion, gain=(1.0,))]
-    with pytest.raises(UsageError, match=r"torques of joints in N m.*--accept current"):
-        check_torque_units(logs, ("gain",))
-    (said,) = check_torque_units(logs, ("current",))
-    assert "per N m: a current" in said
+    with pytest.raises(UsageError, match=r"times too small|torques of joints in N m"):
+        check_contradictions(logs, ())
+    said = check_contradictions(logs, ("current", "gain"))
+    assert any("times too small" in one or "per N m: a current" in one for one in said)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("gain", [1.0, 10.6])
+def test_a_stated_gain_is_taken_as_it_is_stated(
+    gain: float, data_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Currents in A with a gain of 1, as to weigh a load by their ratio, are no torques in N m."""
+    monkeypatch.setenv("SYSID_BENCH_DATA", str(data_folder))
+    log = read_again("ur5/movement-1", gain=(gain,), unit=("A",))
+    found = diagnose(DiagnoseInput(log.log, log.robot), ("gain", "current"))
+    assert not [one for one in found if "torques of joints in N m" in one.message]
 
 
 @pytest.mark.long
@@ -182,9 +197,10 @@ def test_no_recorded_torque_counts_as_a_current(
 ) -> None:
     monkeypatch.setenv("SYSID_BENCH_DATA", str(data_folder))
     judged = [
-        check_torque_units([read_again(f"{name}/{motion}")], ())
+        list(torque_scale(DiagnoseInput(log.log, log.robot), []))
         for name in package_folders.dataset_files()
         for motion in find_dataset(name, None).described.motions
+        if (log := read_again(f"{name}/{motion}")).log.description.has_torque
     ]
     assert len(judged) > 35
     assert not any(judged)

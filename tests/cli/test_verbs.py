@@ -16,7 +16,8 @@ from .conftest import Run, one_sentence, rows_of, small_suite
 
 FIELDS = {
     "robot", "file", "ok", "reason", "nq", "nv", "bodies", "joints", "gap", "closure",
-    "native_gap", "native_reason", "engine", "base_parameters", "near_degenerate", "rank_gap",
+    "native_gap", "native_reason", "simulation_gap", "simulation_reason", "engine",
+    "base_parameters", "near_degenerate", "rank_gap",
     "coupling", "repairs",
 }  # fmt: skip
 

@@ -1,11 +1,15 @@
 """Laws of baselines: nothing is lost in the file, and every change beyond a tolerance is found."""
 
 import json
+import math
 import random
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from decimal import Decimal
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -29,6 +33,7 @@ from sysid_bench.harness.comparison.run_values import (
     Kind,
     RunValues,
     Tolerance,
+    label_axes,
     part_times,
     read_run,
     settings_key,
@@ -420,12 +425,86 @@ def test_a_commit_is_shown_with_twelve_digits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("errors", "end"), [((0.1, 0.2), ""), ((None, None), ""), ((0.1, None), ALL_PARAMETERS)]
-)
+    ("errors", "end"),
+    [
+        ((), ""), ((0.1,), ""), ((None,), ""), ((0.1, 0.2), ""), ((None, None), ""),
+        ((0.1, None), ALL_PARAMETERS), ((None, None, 0.1), ALL_PARAMETERS),
+        ((math.nan, 0.1, 0.2), ALL_PARAMETERS),
+    ],
+)  # fmt: skip
 def test_settings_of_all_parameters_are_apart(errors: tuple[float | None, ...], end: str) -> None:
     cell = {"robot": "ur5", **dict.fromkeys(SETTING, "x")}
     entries = [{"base_error": error} for error in errors]
     assert settings_key(cell, entries) == ("ur5", "x x x x" + end)
+
+
+@given(
+    st.lists(st.tuples(*[st.sampled_from("ab")] * 4), min_size=1, max_size=6, unique=True),
+    st.integers(0, 3),
+)
+def test_axes_tell_the_cells_of_a_robot_apart(drawn: list[tuple[str, ...]], other: int) -> None:
+    """As all their labels do, and no axis says what those before it do."""
+    names = ("robot", "payload", "noise", "repeat")
+    cells = [
+        {**dict.fromkeys(words.LABELS, "x"), **dict(zip(names, labels, strict=True))}
+        for labels in drawn
+    ]
+    kept = label_axes(cells)
+    assert "robot" not in kept
+
+    def groups(axes: tuple[str, ...]) -> int:
+        return len({tuple(cell[axis] for axis in ("robot", *axes)) for cell in cells})
+
+    assert groups(kept) == len(cells)
+    assert all(groups(kept[: n + 1]) > groups(kept[:n]) for n in range(len(kept)))
+
+
+def test_cells_of_a_run_that_have_no_row_and_true_values_of_those_that_have(tmp_path: Path) -> None:
+    """True values are those of answers, of the base where one has these alone."""
+    text = 'schema = 1\nname = "s"\n[[robot]]\nuse = ["ur5", "scara"]\n'
+    names = ("ols", "wls", "lmi", "ridge")
+    suite = parse_suite(text + "".join(f'[[estimator]]\nuse = "{name}"\n' for name in names))
+    plan = cells_of_suite(suite)
+    folder = RunFolder.new(tmp_path / "run", suite, plan, {})
+    first = [cell for cell in plan.cells if cell.first_fields["robot"] == "ur5"]
+    rest = [cell for cell in plan.cells if cell.first_fields["robot"] == "scara"]
+
+    def entries(*true: tuple[float | None, float | None]) -> list[dict[str, object]]:
+        return [
+            {"body": "a", "name": f"p{n}", "true": value, "value": 1.0, "base_error": error}
+            for n, (value, error) in enumerate(true)
+        ]
+
+    def write(row: Mapping[str, Any], **fields: Any) -> None:
+        writer.write({**row, "reason": "", "rank": 36, "torque_error": 0.25, **fields})
+
+    with folder.new_writer("w") as writer:
+        head = [cell.first_fields for cell in first]
+        write(head[0], status="failed", reason="why", parameters_table=entries((9.0, 0.1)))
+        write(head[1], status="ok", parameters_table=entries((2.0, 0.1), (3.0, None)))
+        write(head[2], status="ok", parameters_table=entries((4.0, 0.1), (5.0, 0.2), (None, 0.1)))
+        write(rest[0].first_fields, status="ok", parameters_table=[])
+    found = read_run(folder, ("torque_error",))
+    assert found.cells[first[0].id].reason == "why"
+    assert found.cells[first[0].id].values == (0.25,)
+    for cell in (first[3], *rest[1:]):
+        assert found.cells[cell.id].status == "open"
+        assert found.cells[cell.id].values == (None,)
+        assert found.cells[cell.id].reason == "has not run yet"
+    ((key, true),) = found.parameters.items()
+    assert key[0] == "ur5"
+    assert not key[1].endswith(ALL_PARAMETERS)
+    assert true == {"a.p0": 4.0, "a.p1": 5.0}
+
+
+def test_repeats_of_one_cell_are_one_group_of_times() -> None:
+    rows, heads = [], {}
+    for payload, repeat in product(("a", "b"), range(3)):
+        name = f"{payload}{repeat}"
+        rows.append({"id": name, "seconds_cpu": 1.0 + repeat, "seconds_experiment_cpu": 5.0})
+        heads[name] = {**dict.fromkeys(words.LABELS, "x"), "robot": "ur5", "payload": payload,
+                       "estimator": "ols", "experiment": name}  # fmt: skip
+    assert part_times(rows, heads)["ur5", "ols"] == [[1.0, 2.0, 3.0]] * 2
 
 
 @pytest.mark.parametrize("kernel", [0.25, None])
@@ -472,6 +551,7 @@ def test_rows_of_a_run_are_read_for_the_metrics_asked_for(tmp_path: Path) -> Non
         values = dict(zip(found.metrics, found.cells[cell.id].values, strict=True))
         assert values["torque_error"] == 0.25
     assert found.models.keys() == {"ur5"}
+    assert found.parameters == {}  # no row has any
     with pytest.raises(UsageError, match="torque_eror"):
         read_run(folder, ("torque_eror",))
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
+from sysid_bench.harness.comparison import run_difference
 from sysid_bench.harness.comparison.run_difference import MetricRatio, metric_ratio
 from sysid_bench.harness.comparison.run_values import ROUNDING, CellValues, RunValues
 from sysid_bench.metrics import METRICS
@@ -111,3 +112,39 @@ def test_errors_count_from_just_above_rounding_on(factor: float) -> None:
 def one_cell(error: float) -> RunValues:
     run = run_of(1, 0)
     return replace(run, cells={"0-0": replace(run.cells["0-0"], values=(error, 1.0))})
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_metric_that_should_be_large_is_judged_by_its_inverse(seed: int) -> None:
+    """Of one that should be small: the same verdicts, and none without a direction."""
+    rng = np.random.default_rng(seed)
+    factor, scatter = float(np.exp(rng.normal(0, 0.2))), float(rng.choice([0.01, 0.1, 0.5]))
+    before, cells = run_of(9, seed), {}
+    for key, cell in before.cells.items():
+        error = float((cell.values[0] or 0.0) * factor * np.exp(scatter * rng.normal()))
+        cells[key] = replace(cell, values=(error, 1.0))
+    after = replace(before, cells=cells)
+    lower = error_ratio(before, after)
+    large = {**before.metrics, "torque_error": replace(METRICS["torque_error"], better="higher")}
+    higher = error_ratio(replace(after, metrics=large), replace(before, metrics=large))
+    none = {**before.metrics, "torque_error": replace(METRICS["torque_error"], better=None)}
+    plain = error_ratio(replace(before, metrics=none), replace(after, metrics=none))
+    assert lower.verdict == higher.verdict != ""
+    assert plain.verdict == ""
+    assert plain.ratio == lower.ratio
+
+
+def test_metrics_of_both_runs_that_are_compared_by_a_factor_have_a_ratio() -> None:
+    names = ("torque_error", "gap", "rank", "condition")
+    cells = {"c": CellValues("ur5", (), "ok", (0.5, 1e-16, 9.0, 30.0))}
+    before = RunValues("s", (), {name: METRICS[name] for name in names}, cells, {}, {})
+    fewer = {"c": CellValues("ur5", (), "ok", (0.5, 1e-16, 9.0))}
+    after = replace(before, metrics={n: METRICS[n] for n in names[:3]}, cells=fewer)
+    for pair in ((before, after), (after, before), (after, after)):
+        assert [one.metric for one in metric_ratio(*pair)] == ["torque_error"]
+
+
+def test_a_factor_at_the_digits_of_a_baseline_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_difference, "_DIGITS", float(np.log(1.25)))
+    assert error_ratio(one_cell(1.0), one_cell(1.25)).higher == 1
+    assert error_ratio(one_cell(1.0), one_cell(1.2)).higher == 0

@@ -1,10 +1,12 @@
 """Laws of speeds: a part that becomes slower is named, a machine that does is not."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from sysid_bench.harness.comparison import speed as speeds
 from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text
 from sysid_bench.harness.comparison.run_difference import find_difference
 from sysid_bench.harness.comparison.run_values import CellValues, RunValues, part_times
@@ -14,6 +16,7 @@ from sysid_bench.harness.comparison.speed import (
     SIGMAS,
     SIGMAS_POOLED,
     Key,
+    Speed,
     compare_speed,
     relative_speed,
 )
@@ -248,3 +251,30 @@ def test_ratios_and_noise_are_those_of_their_definition(seed: int) -> None:
         if one.robot != ALL:
             assert one.noise == pytest.approx(error)
             assert one.factor == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("slower", [True, False])
+def test_a_change_at_its_limit_is_none(slower: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A factor of two against a limit of two, and noise that hides just that factor."""
+    monkeypatch.setattr(speeds, "LIMIT", 2.0)
+
+    def verdict(ratio: float, noise: float) -> str:
+        before = {("ur5", part): Speed(1.0, 0.0, 9) for part in ("ols", "wls", "lmi")}
+        after = {**before, ("ur5", "ols"): Speed(ratio, noise, 9)}
+        found = compare_speed(before, after)
+        return next(one.verdict for one in found if (one.robot, one.part) == ("ur5", "ols"))
+
+    limit = 2.0 if slower else 0.5
+    assert verdict(limit, 0.0) == "same"
+    beyond = float(np.nextafter(limit, 4.0 if slower else 0.0))
+    assert math.log(beyond) != math.log(limit)
+    assert verdict(beyond, 0.0) == ("slower" if slower else "faster")
+    noise = math.log(2.0) / SIGMAS
+    assert verdict(1.0, noise) == "same"
+    assert verdict(1.0, float(np.nextafter(noise, 1.0))) == "undecided"
+
+
+def test_groups_of_fewer_than_three_have_no_speed() -> None:
+    assert relative_speed({}) == {}
+    assert relative_speed({("ur5", "ols"): [[1.0, 2.0]], ("ur5", "wls"): [[0.0, 1.0, 2.0]]}) == {}
+    assert len(relative_speed({("ur5", "ols"): [[1.0, 1.0, 1.0]]})) == 1

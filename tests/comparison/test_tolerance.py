@@ -1,14 +1,16 @@
 """Laws of tolerances: what counts as a change beside a floor, across zero and near a factor."""
 
+import json
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text
-from sysid_bench.harness.comparison.run_difference import find_difference
+from sysid_bench.harness.comparison.run_difference import find_difference, moved_values
 from sysid_bench.harness.comparison.run_values import (
     DEFAULTS,
     CellValues,
@@ -152,3 +154,83 @@ def test_each_kind_of_metric_has_its_limit(
                 assert tolerance.holds(1.0, 1.0 + share * (size - 1.0)) == is_same
                 assert tolerance.holds(0.0, share * floor * size) == (is_same or not floor)
         assert tolerance.holds(3.0, 4.0) == (kind == "ratio" and size > 2.0)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_size_itself_belongs_to_a_tolerance(sign: float) -> None:
+    """A factor, a difference and the floor of what is kept: up to the last bit, and no further."""
+    beyond = float(np.nextafter(1.5, 2.0))
+    for allowed, before in ((Tolerance("ratio", 1.5), 1.0), (Tolerance("absolute", 0.5), 1.0)):
+        for a, b in ((before, 1.5), (1.5, before)):
+            assert allowed.holds(sign * a, sign * b)
+        assert not allowed.holds(sign * before, sign * beyond)
+        assert not allowed.holds(sign * beyond, sign * before)
+    for allowed in (Tolerance("absolute", 0.5), Tolerance("ratio", 1.1, 0.5)):
+        assert allowed.stored_value(sign * 0.5) == 0.0
+        above = sign * float(np.nextafter(0.5, 1.0))
+        assert allowed.stored_value(above) == above
+    assert Tolerance("exact").stored_value(5e-324) == 5e-324
+
+
+@pytest.mark.parametrize("allowed", [
+    Tolerance("exact"), Tolerance("absolute", 0.25), Tolerance("absolute", 3.0),
+    Tolerance("ratio", 1.0), Tolerance("ratio", 1.1), Tolerance("ratio", 7.0, 0.5),
+])  # fmt: skip
+def test_a_tolerance_is_the_same_through_json(allowed: Tolerance) -> None:
+    written = json.loads(json.dumps(allowed.to_json()))
+    assert Tolerance.from_json(written) == allowed
+    assert allowed.floor or list(written) == [allowed.kind]
+
+
+@pytest.mark.parametrize("share", [3e-6, 1e-5, 1e-3])
+def test_a_true_parameter_is_named_from_a_millionth_on(share: float) -> None:
+    for factor, count in ((1 + share, 1), (1 - share, 1), (1 + 5e-7, 0), (1 - 5e-7, 0)):
+        for size in (1.0, 1e-12, 1e6):
+            before, after = (
+                replace(run_of(1.0), parameters={("ur5", "none"): {"a.m": size, "b.m": moved}})
+                for moved in (0.3 * size, 0.3 * size * factor)
+            )
+            assert len(find_difference(before, after).parameters) == count
+
+
+@given(st.floats(1e-6, 1e6), st.floats(1.02, 1e3), st.booleans())
+def test_the_direction_of_a_metric_decides(value: float, factor: float, grows: bool) -> None:
+    before, after = (value, value * factor) if grows else (value * factor, value)
+    lower, higher = (verdict_of(way, Tolerance("ratio", 1.01), before, after)
+                     for way in ("lower", "higher"))  # fmt: skip
+    assert {lower, higher} == {"better", "worse"}
+    assert (lower == "worse") == grows
+    assert verdict_of(None, Tolerance("ratio", 1.01), before, after) == "changed"
+
+
+def test_metrics_of_one_run_and_those_of_the_machine_are_not_compared() -> None:
+    names = ("torque_error", "seconds", "rank")
+    cells = {"c": CellValues("ur5", (), "ok", (0.5, 1.0, 9.0))}
+    whole = RunValues("s", (), {name: METRICS[name] for name in names}, cells, {}, {})
+    other = replace(
+        whole,
+        metrics={name: METRICS[name] for name in ("seconds", "torque_error")},
+        cells={"c": CellValues("ur5", (), "ok", (900.0, 0.7))},
+    )
+    for before, after in ((whole, other), (other, whole)):
+        found = find_difference(before, after)
+        assert [change.metric for change in found.cells] == ["torque_error"]
+        assert [change.metric for change in moved_values(before, after, {})] == ["torque_error"]
+
+
+def test_values_of_cells_that_one_run_lacks_have_not_moved() -> None:
+    one = run_of(0.5)
+    more = replace(one, cells={**one.cells, "d": CellValues("ur5", ("x",), "ok", (0.7,))})
+    assert moved_values(one, more, {}) == moved_values(more, one, {}) == ()
+
+
+def test_an_answer_that_is_gone_is_worse_and_another_status_a_change() -> None:
+    def with_status(status: str) -> RunValues:
+        cell = CellValues("ur5", (), status, (0.5 if status == "ok" else None,))
+        return replace(run_of(0.5), cells={"c": cell})
+
+    for before, after, verdict in (
+        ("ok", "failed", "worse"), ("failed", "ok", "changed"), ("failed", "timeout", "changed"),
+    ):  # fmt: skip
+        (change,) = find_difference(with_status(before), with_status(after)).cells
+        assert (change.verdict, change.is_failed) == (verdict, True)

@@ -8,13 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.diagnosis.channel_checks import copied_channels, spikes, wrapped_channels
+from sysid_bench.diagnosis.channel_checks import (
+    copied_channels,
+    recorded_findings,
+    spikes,
+    touches,
+    wrapped_channels,
+)
+from sysid_bench.diagnosis.contradictions import SURE, contradictions
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
+from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.joint_checks import unsigned_torque
 from sysid_bench.diagnosis.run_checks import diagnose
+from sysid_bench.diagnosis.torque_candidates import torque_magnitude
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_checks import check_rates
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.types import Array
 from tests.diagnosis.test_diagnosis import evidence, log_of
@@ -26,6 +36,10 @@ FIRST_MIDDLE_LAST = (0, 2, 5)
 
 def errors(found: list[Finding]) -> list[Finding]:
     return [one for one in found if one.severity == ERROR]
+
+
+def first_second(log: Recorded) -> Recorded:
+    return Recorded(log.joints, log.t[:200], log.q[:200], log.v[:200], log.tau[:200])
 
 
 def only(x: Array, j: int, changed: Array) -> Array:
@@ -50,6 +64,27 @@ def test_torques_without_sign_are_named(tmp_path: Path, name: str, joint: int | 
     assert "columns" in found[0].edit
 
 
+@pytest.mark.parametrize("joint", [1, pytest.param(5, marks=pytest.mark.long)])
+def test_a_torque_without_sign_is_named_where_it_hardly_turns(tmp_path: Path, joint: int) -> None:
+    """In one second the joint's own columns explain its torque with any signs."""
+    log, robot = first_second(log_of("panda")), named_robot("panda")
+    tau = only(log.tau, joint, np.abs(log.tau[:, joint]))
+    made = evidence(tmp_path, replace(log, tau=tau), robot)
+    assert not list(unsigned_torque(made))
+    first = contradictions(made)[0]
+    assert (first.name, first.joints, first.is_error) == ("magnitude", (robot.rows[joint],), True)
+
+
+@pytest.mark.parametrize("joint", FIRST_MIDDLE_LAST)
+def test_spikes_do_not_take_the_sign_of_a_torque(tmp_path: Path, joint: int) -> None:
+    log, robot = log_of("ur5"), named_robot("ur5")
+    x = log.tau[:, joint] - log.tau[:, joint].min()
+    x[100::150] = 20 * np.sqrt((x**2).mean())
+    assert touches(x) <= 1
+    made = evidence(tmp_path, replace(log, tau=only(log.tau, joint, x)), robot)
+    assert not list(unsigned_torque(made))
+
+
 @pytest.mark.parametrize("name", ["ur5", "xarm7", "kinova", "z1", "rv2sq", "so100"])
 @pytest.mark.parametrize("lift", [0.0, 1.0])
 def test_a_torque_that_gravity_keeps_to_one_side_has_a_sign(
@@ -59,7 +94,10 @@ def test_a_torque_that_gravity_keeps_to_one_side_has_a_sign(
     log, robot = log_of(name), named_robot(name)
     rms = np.sqrt((log.tau**2).mean(axis=0))
     tau = log.tau - log.tau.min(axis=0) + (0.3 + lift) * rms
-    assert not list(unsigned_torque(evidence(tmp_path, replace(log, tau=tau), robot)))
+    made = evidence(tmp_path, replace(log, tau=tau), robot)
+    assert not list(unsigned_torque(made))
+    before = first_hypothesis(made)
+    assert not [one for one in torque_magnitude(before) if one.evidence(before) > SURE]
 
 
 @pytest.mark.parametrize("joint", FIRST_MIDDLE_LAST)
@@ -152,3 +190,37 @@ def test_spikes_that_are_most_of_a_channel_are_errors(
     spiked = evidence(tmp_path, replace(log, tau=only(log.tau, 1, tau)), named_robot("ur5"))
     (found,) = spikes(spiked)
     assert (found.severity, found.joints) == (severity, log.joints[1:2])
+
+
+@pytest.mark.parametrize(("rows", "severity"), [(6, WARNING), (400, ERROR)])
+def test_few_samples_beyond_a_limit_are_no_wrong_unit(
+    tmp_path: Path, rows: int, severity: str
+) -> None:
+    log, robot = log_of("ur5"), named_robot("ur5")
+    tau = log.tau.copy()
+    tau[100 : 100 + rows, 1] = 5 * robot.limits.tau[1]
+    found = recorded_findings(evidence(tmp_path, replace(log, tau=tau), robot))
+    assert [one.severity for one in found if one.name == "units"] == [severity]
+
+
+def test_exchanged_columns_beyond_a_limit_are_exchanged_columns(tmp_path: Path) -> None:
+    """The position of a hinge in the place of a slide is beyond its travel."""
+    log, robot = log_of("scara"), named_robot("scara")
+    order = [0, 2, 1, 3]
+    exchanged = replace(log, q=log.q[:, order], v=log.v[:, order])
+    first, *others = diagnose(evidence(tmp_path, exchanged, robot))
+    assert (first.name, first.is_error) == ("columns", True)
+    assert "units" in [one.name for one in others]
+
+
+def test_velocities_of_other_joints_are_no_wrong_rate() -> None:
+    """Two joints that move alike at two speeds, each with the velocity of the other."""
+    t = np.arange(2000) / 200
+    q = np.column_stack([np.sin(t), 0.5 * np.sin(t + 0.05)])
+    v = np.column_stack([np.cos(t), 0.5 * np.cos(t + 0.05)])
+    found, rate = check_rates(q, v[:, ::-1], 200.0, ("one", "two"))
+    assert found
+    assert {one.name for one in found} == {"velocity"}
+    assert rate == 200.0
+    (wrong,), _ = check_rates(q, 2 * v, 200.0, ("one", "two"))
+    assert wrong.name == "rate"

@@ -8,11 +8,17 @@ import numpy as np
 import pytest
 
 from sysid_bench.diagnosis.contradictions import contradictions
+from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
+from sysid_bench.diagnosis.finding import WARNING
 from sysid_bench.diagnosis.gain_candidates import joint_gains
 from sysid_bench.diagnosis.hypothesis import first_hypothesis
 from sysid_bench.diagnosis.run_checks import diagnose
+from sysid_bench.diagnosis.torque_candidates import open_gains
+from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_description import read_description
 from tests.diagnosis.test_diagnosis import evidence, loaded_log, log_of
 from tests.robots import named_robot
+from tests.signals.logs import write
 
 
 def numbers(edit: str) -> list[float]:
@@ -146,3 +152,38 @@ def test_a_gain_that_friction_hides_is_named_as_undecided(tmp_path: Path, factor
     (note,) = (one for one in found if one.name == "undecided")
     assert log.joints[5] in note.joints
     assert log.joints[1] not in note.joints
+
+
+@pytest.mark.parametrize(("name", "signed"), [("kinova", False), ("ur5", True)])
+def test_currents_of_joints_that_follow_the_model_are_named(
+    tmp_path: Path, name: str, signed: bool
+) -> None:
+    """Each joint has a torque constant of its own, some a sign, and friction leaves wrists open."""
+    log, robot = log_of(name), named_robot(name)
+    rng = np.random.default_rng(0)
+    constants = np.exp(rng.uniform(np.log(5), np.log(50), len(robot.rows)))
+    constants *= np.where(signed & (np.arange(len(constants)) % 2 == 1), -1.0, 1.0)
+    factors = np.where(np.arange(len(robot.phi)) % 2, 1.2, 0.8)
+    told = replace(robot, phi=robot.phi * factors[:, None])
+    first = contradictions(evidence(tmp_path, replace(log, tau=log.tau / constants), told))[0]
+    assert (first.name, first.is_error) == ("current", True)
+    for text in (first.message, first.edit):
+        assert "current" in text
+
+
+@pytest.mark.parametrize("unit", [None, "N m"])
+def test_torques_that_may_be_currents_are_a_doubt_unless_their_unit_is_stated(
+    tmp_path: Path, unit: str | None
+) -> None:
+    """Friction is most of each torque: its size says nothing of the unit."""
+    log, robot = log_of("ur5"), named_robot("ur5")
+    size = 3.0 * np.sqrt((log.tau**2).mean(axis=0))
+    rubbed = replace(log, tau=(log.tau + size * np.sign(log.v) + size * log.v) / 10.0)
+    path = write(tmp_path, rubbed)
+    described = read_description(path)
+    if unit:
+        described = replace(described, tau=described.tau.model_copy(update={"unit": (unit,)}))
+    found = list(open_gains(DiagnoseInput(read_log(described, robot), robot)))
+    doubts = [one for one in found if one.severity == WARNING]
+    assert len(doubts) == (0 if unit else 1)
+    assert all("currents" in one.message and "unit" in one.edit for one in doubts)

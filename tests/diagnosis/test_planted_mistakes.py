@@ -91,3 +91,22 @@ def test_some_mistakes_in_one_recording(kind: str) -> None:
     (mistake,) = (one for one in (*MISTAKES, *HARMLESS) if one.name == kind)
     case = Bench(one).case(mistake, 1)
     assert case.named or (case.is_harmless and not case.refused), line(case)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "kind", "joint"),
+    [
+        ("dvrk_mtm/rest", "direction of q and v", "j5"),
+        ("ur10/rest", "torque of a motor, 1:50, one", "shoulder_pan_joint"),
+    ],
+)
+def test_a_mistake_that_shows_behind_a_tool_alone_is_named(
+    name: str, kind: str, joint: str
+) -> None:
+    (one,) = (one for one in recorded_subjects(name.partition("/")[0]) if one.name == name)
+    (mistake,) = (one for one in MISTAKES if one.name == kind)
+    bench = Bench(with_tool(one), loaded=True)
+    case = bench.case(mistake, one.training.joints.index(joint))
+    assert case.named, line(case)
+    assert not case.absurd

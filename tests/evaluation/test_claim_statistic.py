@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest, t
 
-from sysid_bench.evaluation.intervals import ROBOTS, left_out_held
+from sysid_bench.evaluation import robot_statistic
+from sysid_bench.evaluation.intervals import ROBOTS, left_out_held, percentile_interval
 from sysid_bench.evaluation.robot_statistic import (
     ClaimFigure,
     ClaimInterval,
@@ -114,6 +115,26 @@ def test_coverages_without_spread_decide_nothing(value: float) -> None:
     assert (figure.low, figure.reason) == (None, "no spread")
     assert claim_verdict(figure, ClaimInterval.of("at least", (-1.0,))) == "open"
     assert mean_figure(np.array([*np.full(8, value), 0.5])).low is not None
+
+
+@pytest.mark.parametrize("count", [5, 6, 9])
+def test_coverages_of_six_robots_with_a_spread_have_the_interval_of_the_bootstrap(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The range up to which they are one number belongs to it: 1e-12, and 1e-11 is a spread."""
+    values = np.linspace(0.5, 0.75, count)
+    figure = mean_figure(values)
+    assert figure.value == pytest.approx(0.625)
+    assert figure.count == count
+    assert (figure.low is not None) == (count >= 6)
+    if figure.low is not None:
+        means = np.array([values[draw].mean() for draw in ROBOTS.indices(count)])
+        assert (figure.low, figure.high) == pytest.approx(tuple(percentile_interval(means)))
+        assert mean_figure(0.5 + np.linspace(0, 1e-11, count)).low is not None
+        monkeypatch.setattr(robot_statistic, "SPREAD", 0.25)
+        assert mean_figure(values).reason == "no spread"
+        monkeypatch.setattr(robot_statistic, "SPREAD", float(np.nextafter(0.25, 0.0)))
+        assert mean_figure(values) == figure
 
 
 def test_known_values() -> None:

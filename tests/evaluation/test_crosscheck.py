@@ -8,11 +8,19 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation import crosscheck as module
-from sysid_bench.evaluation.crosscheck import CLOSURE, GAP, Crosscheck, crosscheck
+from sysid_bench.evaluation.crosscheck import (
+    CLOSURE,
+    GAP,
+    Crosscheck,
+    crosscheck,
+    simulation_gap,
+)
 from sysid_bench.regressors import kernel_numpy as kernel
 from sysid_bench.regressors.kernel_c import KernelSelection
+from sysid_bench.simulation.plant_batch import PlantBatch, lanes_library
 from sysid_bench.types import Array
 from tests.experiments.experiment_world import OWN, SHIPPED, robot_of
+from tests.robots import NAMED, named_robot
 
 Columns = tuple[tuple[tuple[int, Array], ...], ...]
 Change = Callable[[list[Any]], None]
@@ -95,6 +103,30 @@ def test_a_plant_that_moves_otherwise_is_caught(monkeypatch: pytest.MonkeyPatch)
     assert not check.closure <= CLOSURE
     assert not check.ok()
     assert check.reason().startswith("closure")
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_steps_of_every_robot_are_those_of_mujoco(name: str) -> None:
+    apart, reason = simulation_gap(named_robot(name).without_coupling)
+    if isinstance(lanes_library(), str):
+        assert apart is None
+        assert reason == lanes_library()
+        return
+    assert reason == ""
+    assert apart is not None
+    assert apart <= 1e-12
+
+
+def test_steps_that_move_otherwise_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    if isinstance(lanes_library(), str):
+        pytest.skip(lanes_library())
+    honest = PlantBatch.run
+    monkeypatch.setattr(
+        PlantBatch, "run", lambda batch: replace(honest(batch), q=honest(batch).q + 2e-9)
+    )
+    check = crosscheck(robot_of("ur5"), samples=5)
+    assert not check.ok()
+    assert check.reason().startswith("simulation gap")
 
 
 def made(gap: float = 0.0, closure: float = 0.0, native: float | None = None) -> Crosscheck:

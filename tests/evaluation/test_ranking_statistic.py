@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import rankdata, wilcoxon
 
-from sysid_bench.evaluation.intervals import ROBOTS, median_interval
+from sysid_bench.evaluation.intervals import ROBOTS, median_interval, percentile_interval
 from sysid_bench.evaluation.robot_statistic import (
     RatioFigure,
     holm,
@@ -152,6 +152,47 @@ def test_wins_count_failures_as_lost_and_leave_absent_rows_out() -> None:
 def test_a_profile_counts_a_failure_as_within_nothing() -> None:
     profile = ratio_profile(np.array([0.5, 1.0, 2.0, np.nan]), np.array([0.4, 1.0, 10.0]))
     np.testing.assert_allclose(profile, [0.0, 0.5, 0.75])
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_a_profile_is_the_share_up_to_each_limit(count: int) -> None:
+    """The limit itself belongs to it, of one case as of many."""
+    ratios = np.random.default_rng(count).uniform(0.5, 5.0, count)
+    found = ratio_profile(ratios, np.sort(ratios))
+    np.testing.assert_allclose(found, np.arange(1, count + 1) / count)
+    assert ratio_profile(ratios, np.array([np.nextafter(ratios.min(), 0.0)])) == [0.0]
+    np.testing.assert_array_equal(ratio_profile(ratios[:0], np.array([1.0, 9.0])), [0.0, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_ranks_are_those_of_the_medians_and_ties_share_the_lowest(seed: int) -> None:
+    """Where a method has no robot in some draws, too; intervals from just six robots on."""
+    rng = np.random.default_rng(seed)
+    logs = np.round(rng.normal(size=(ROBOTS.fewest + seed, 5)), 1)
+    rank, low, high = rank_interval(logs)
+    np.testing.assert_array_equal(rank, rankdata(np.median(logs, axis=0), method="min"))
+    assert np.isfinite(low).all()
+    draws = np.median(logs[ROBOTS.indices(len(logs))], axis=1)
+    drawn = np.apply_along_axis(rankdata, 1, draws, method="min")
+    np.testing.assert_allclose((low, high), percentile_interval(drawn))
+    assert np.isnan(rank_interval(logs[: ROBOTS.fewest - 1])[1:]).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_corrected_p_are_those_of_holms_procedure(seed: int) -> None:
+    """Hypotheses are rejected one by one, from the smallest p on, until one is not."""
+    rng = np.random.default_rng(seed)
+    p = np.round(rng.uniform(0, 0.3, size=rng.integers(1, 7)), 2)
+    found = holm(p)
+    for level in (0.01, 0.05, 0.2, 0.6):
+        rejected = np.zeros(len(p), dtype=bool)
+        for left, place in zip(range(len(p), 0, -1), np.argsort(p, kind="stable"), strict=True):
+            if p[place] * left > level + 1e-12:
+                break
+            rejected[place] = True
+        np.testing.assert_array_equal(found <= level + 1e-12, rejected)
+    assert found.max() <= 1.0
+    assert holm(np.array([0.9, 0.8])).tolist() == [1.0, 1.0]
 
 
 def test_ranks_are_intervals_that_hold_them() -> None:

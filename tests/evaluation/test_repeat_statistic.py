@@ -110,6 +110,7 @@ def test_a_figure_needs_twenty_repeats_scatter_and_a_bound(metric: str) -> None:
     )
     assert (repeat_statistic(metric, cells, one) is None) == (metric != "bias")
     assert repeat_statistic(metric, cells, lines.iloc[:0]) is None
+    assert [one.shape for one in repeat_errors(cells, lines.iloc[:0])] == [(0, 0), (0,)]
 
 
 @pytest.mark.parametrize("metric", WORST)

@@ -13,9 +13,10 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.experiment_data import ExperimentData
 from sysid_bench.experiments.processed_rows import MotionRows
+from sysid_bench.identification.estimators.didim_iv import DIDIM
 from sysid_bench.identification.estimators.linear import WLS
 from sysid_bench.identification.estimators.robust import Huber
-from sysid_bench.identification.linear.least_squares import stacked_factor
+from sysid_bench.identification.linear.least_squares import dense_rows, stacked_factor
 from sysid_bench.plugin_names import build
 from sysid_bench.signals.filter import Butterworth, NoFilter
 from sysid_bench.signals.pipeline_choice import pipeline_of
@@ -250,6 +251,53 @@ def test_a_held_torque_belongs_to_the_middle_of_its_period(robot: str, rate: flo
         shifts[name] = np.median((left * slope).sum(axis=0) / (slope**2).sum(axis=0))
     assert 0.6 * 0.5 / rate < shifts["raw"] < 1.1 * 0.5 / rate
     assert abs(shifts["parallel"]) < 0.2 * shifts["raw"]
+
+
+@pytest.mark.parametrize(
+    "pipeline",
+    [
+        {"use": "plain", "standstill": "10 %"},
+        {"use": "parallel", "standstill": "5 %"},
+        {"use": "parallel", "cutoff": "10 Hz"},
+    ],
+    ids=str,
+)
+def test_didim_on_the_rows_of_the_pipeline_fits_what_least_squares_fits(pipeline: Any) -> None:
+    """The same torques, the same rows left out; W along the simulated motion of the truth is that
+    of the measured one, up to noise."""
+    made = loop(pipeline, "scara")
+    W, b = DIDIM(rows="pipeline")._rows(
+        made.experiment, made.experiment.simulate(made.source.truth.theta)
+    )
+    W_measured, b_measured = dense_rows(made.problem)
+    np.testing.assert_allclose(b, b_measured, rtol=0, atol=1e-9 * np.abs(b).max())
+    left_out = ~W_measured.any(axis=2)
+    assert not W[left_out].any()
+    assert not b[left_out].any()
+    assert np.linalg.norm(W - W_measured) < 0.2 * np.linalg.norm(W)
+    raw = DIDIM()._rows(made.experiment, made.experiment.simulate(made.source.truth.theta))[1]
+    assert len(raw) == len(made.experiment.raw)
+
+
+def test_didim_errs_less_on_the_rows_of_the_pipeline() -> None:
+    """Where joints stick, sign(v) of all samples costs DIDIM its accuracy (mean over robots)."""
+    ratios: dict[str, list[float]] = {"raw": [], "pipeline": []}
+    for robot in ("scara", "ur3"):
+        made = loop({"use": "parallel", "standstill": "5 %"}, robot)
+        least = made.score(WLS(), WLS().solve(made.problem))["torque_error_moving"]
+        for rows, found in ratios.items():
+            method = DIDIM(rows=rows)
+            scores = made.score(method, method.fit(made.experiment))
+            found.append(scores["torque_error_moving"] / least)
+    means = {rows: np.exp(np.log(found).mean()) for rows, found in ratios.items()}
+    assert means["pipeline"] < 0.5 * means["raw"], means
+
+
+def test_rows_of_didim_are_named() -> None:
+    with pytest.raises(UsageError, match=r"'pipelin'.*pipeline"):
+        DIDIM(rows="pipelin")
+    with pytest.raises(UsageError, match="decimates its rows"):
+        DIDIM(rows="pipeline", decimation=4)
 
 
 # --- Bandwidth ----------------------------------------------------------------------------------

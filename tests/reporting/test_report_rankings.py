@@ -15,6 +15,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.intervals import median_interval
 from sysid_bench.evaluation.robot_statistic import least_p, rank_test_p, verdict
 from sysid_bench.metrics import METRICS
+from sysid_bench.reporting import ranking as rankings
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.ranking import RATIOS, MethodRatio, Ranking, entry_with_cells, rank_cells
 from sysid_bench.reporting.ranking_figures import profile
@@ -420,6 +421,66 @@ def test_rounding_and_the_truth_have_no_ratio() -> None:
     [ranking] = ranked(told.assign(prior="truth"))
     assert [one.robots for one in ranking.comparisons] == [0] * 7
     assert "with the true values as prior" in to_markdown(verdict_table(ranking))
+
+
+def test_limits_belong_to_what_they_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error at the floor is rounding; a law is kept, and an answer a copy, up to their limit."""
+    floor = max(METRICS["torque_error"].floor, float(np.finfo(float).tiny))
+    for error, robots in ((floor, 13), (float(np.nextafter(floor, 1.0)), 14)):
+        for method in ("wls", "good"):
+            cells = fabricate()
+            rows = (cells["robot"] == "r0") & (cells["estimator"] == method)
+            cells.loc[rows, "torque_error"] = error
+            assert of(cells, "good").robots == robots
+    cells = fabricate(robots=2)
+    cells = cells[cells["estimator"].isin(["wls", "good"])].assign(noise="exact", plant="matched")
+    for error, kept in ((rankings.BROKEN, 4), (float(np.nextafter(rankings.BROKEN, 1.0)), 0)):
+        one = compared(
+            cells.drop_duplicates(["robot", "payload", "estimator"]).assign(torque_error=error)
+        )
+        assert one["good"].laws == (kept, 4)
+    monkeypatch.setattr(rankings, "ALIKE", 0.25)
+    for other, is_copy in ((1.25, True), (0.75, True), (1.2500001, False), (0.7499999, False)):
+        cells = fabricate(robots=2)
+        cells = cells[cells["estimator"].isin(["wls", "good"])]
+        cells["torque_error"] = np.where(cells["estimator"] == "wls", 1.0, other)
+        [found] = ranked(cells)
+        assert bool(found.same) == is_copy
+
+
+@pytest.mark.parametrize("value", [False, np.False_, 0, 0.0])
+def test_an_answer_has_converged_unless_its_row_says_otherwise(value: Any) -> None:
+    cells = fabricate(robots=2)
+
+    def said(one: Any) -> pd.DataFrame:
+        given = [one if method == "good" else None for method in cells["estimator"]]
+        return cells.assign(converged=pd.Series(given, cells.index, dtype=object))
+
+    assert of(said(value), "good").unconverged == 8
+    for other in (None, True, 1, np.nan, "no"):
+        assert of(said(other), "good").unconverged == 0
+    assert of(cells.drop(columns="converged"), "good").unconverged == 0
+
+
+def test_one_method_is_no_ranking_and_two_are() -> None:
+    cells = fabricate(robots=2)
+    with pytest.raises(UsageError, match="leaves wls"):
+        ranked(cells[cells["estimator"] == "wls"])
+    assert len(compared(cells[cells["estimator"].isin(["wls", "good"])])) == 2
+
+
+def test_the_reason_of_a_method_is_its_most_frequent_one() -> None:
+    cells = fabricate(robots=6)
+    lost = cells.index[(cells["estimator"] == "failing") & (cells["status"] == "failed")]
+    cells.loc[lost, "reason"] = ["seldom" if n % 3 == 0 else "often" for n in range(len(lost))]
+    assert of(cells, "failing").reason == "often"
+    assert of(cells, "good").reason == ""
+
+
+def test_profiles_are_drawn_from_a_tenth_to_a_hundred_times() -> None:
+    assert RATIOS[[0, -1]] == pytest.approx([0.1, 100.0])
+    assert len(RATIOS) == 301
+    np.testing.assert_allclose(np.diff(np.log10(RATIOS)), 0.01)
 
 
 # --- Groups, formats, profiles --------------------------------------------------------------------

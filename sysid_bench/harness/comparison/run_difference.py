@@ -225,7 +225,7 @@ def _parameter_changes(before: RunValues, after: RunValues) -> Iterator[Paramete
     for key, was in before.parameters.items():
         if (now := after.parameters.get(key)) is None:
             continue
-        largest = max(map(abs, (*was.values(), *now.values())), default=0.0)
+        largest = max((0.0, *map(abs, (*was.values(), *now.values()))))
         # Below this share of the robot's largest parameter both are rounding.
         same = replace(_SAME_PARAMETER, floor=ROUNDING_SHARE * largest)
         for name in dict.fromkeys((*was, *now)):

@@ -246,7 +246,9 @@ def _true_parameters(
     from the first one that has any where no method returns base parameters alone."""
     fields = ["id", "body", "name", "true", "base_error"]
     lines = folder.frames().read("parameters", fields)
-    lines = lines[lines["true"].notna()] if "true" in lines else lines[:0]
+    if "true" not in lines:
+        return {}
+    lines = lines[lines["true"].notna()]
     done = cells[(cells["status"] == "ok") & cells["id"].isin(lines["id"].unique())]
     if "base_error" in lines:
         in_base = lines["base_error"].notna().groupby(lines["id"])
@@ -265,8 +267,8 @@ def settings_key(cell: Mapping[str, Any], entries: Sequence[Row]) -> tuple[str, 
     its body are different numbers under one name, and are never compared: where a method returns
     all parameters, some are without an error of the base."""
     setting = " ".join(cell[axis] for axis in SETTING)
-    in_base = [_number(entry.get("base_error")) is not None for entry in entries]
-    return cell["robot"], setting + ALL_PARAMETERS * (any(in_base) and not all(in_base))
+    without = [_number(entry.get("base_error")) for entry in entries].count(None)
+    return cell["robot"], setting + ALL_PARAMETERS * (0 < without < len(entries))
 
 
 def true_values(entries: Iterable[Row]) -> dict[str, float]:
@@ -380,4 +382,5 @@ def verdict_of(better: Better | None, tolerance: Tolerance, before: Value, after
         return "same"
     if better is None or math.isnan(before) or math.isnan(after):
         return "changed"
-    return "better" if (after < before) == (better == "lower") else "worse"
+    worse = 1.0 if better == "lower" else -1.0
+    return "worse" if math.copysign(1.0, after - before) == worse else "better"

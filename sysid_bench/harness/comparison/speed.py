@@ -75,7 +75,9 @@ def relative_speed(times: Mapping[Key, Sequence[Sequence[float]]]) -> dict[Key, 
     # Root mean square of the gap between the two least of a group, of all groups of a run together,
     # from the median of gaps that have an exponential distribution.
     gaps = [_gap(group) for groups in logs.values() for group in groups]
-    typical = _EXPONENTIAL * median(gaps) if gaps else 0.0
+    if not gaps:
+        return {}
+    typical = _EXPONENTIAL * median(gaps)
     found = {}
     for key, groups in logs.items():
         of_robot = [value for (robot, _), value in middle.items() if robot == key[0]]
@@ -153,8 +155,11 @@ def _mean_noise(noise: Iterable[float]) -> float:
 
 def _change(robot: str, part: str, log: float, noise: float, sigmas: float = SIGMAS) -> SpeedChange:
     verdict: SpeedVerdict = "same"
-    if abs(log) > max(math.log(LIMIT), sigmas * noise):
-        verdict = "slower" if log > 0 else "faster"
+    limit = max(math.log(LIMIT), sigmas * noise)
+    if log > limit:
+        verdict = "slower"
+    elif log < -limit:
+        verdict = "faster"
     elif sigmas * noise > math.log(2.0):
         verdict = "undecided"
     return SpeedChange(robot, part, math.exp(log), noise, verdict)

@@ -139,6 +139,8 @@ def check_estimate(problem: Problem, beta: Array, start: Array) -> None:
 
 
 GAINS: Final = ("updated", "kept")
+PIPELINE, RAW = "pipeline", "raw"
+ROWS: Final = (RAW, PIPELINE)
 
 POSTURES: Final = 20
 """Postures of the motion over which the inertia of each joint is averaged."""
@@ -188,6 +190,11 @@ class DIDIM:
     decimates tau and W alike (parallel decimation). Neither the measured motion nor its derivatives
     enter.
 
+    `rows` "raw" (the default) are those of the paper, all samples. "pipeline" are the rows that
+    linear methods fit: W along the simulated motion is filtered, decimated and left out at
+    standstill as the rows of the measured motion are. At standstill friction is between its limits,
+    and sign(v) of the model at one of them.
+
     `gains` "updated" (the default, as published) multiplies the controller's gains by the joint
     inertias of the simulated parameters over those of the actual robot, so that the closed-loop
     poles stay; "kept" takes them as declared. Starts from the prior, else from least squares along
@@ -208,11 +215,16 @@ class DIDIM:
     tolerance: float = 0.025
     iterations: int = 10
     budget: str | None = None
+    rows: str = RAW
 
     def __post_init__(self) -> None:
-        """Raise UsageError for unknown gains, for a decimation or iterations below 1, and for a
-        budget that there is not."""
+        """Raise UsageError for unknown gains or rows, for a decimation or iterations below 1, and
+        for a budget that there is not."""
         parse_budget(self.budget)
+        if self.rows not in ROWS:
+            raise unknown_name("rows", self.rows, ROWS)
+        if self.rows == PIPELINE and self.decimation != 1:
+            raise UsageError("The pipeline decimates its rows: leave out decimation, or rows.")
         if self.gains not in GAINS:
             raise unknown_name("gains", self.gains, GAINS)
         if min(self.decimation, self.iterations) < 1:
@@ -228,14 +240,8 @@ class DIDIM:
         updated = self.gains == "updated"
         simulate = controlled_simulation(experiment, actual) if updated else experiment.simulate
 
-        def decimated(x: Array) -> Array:
-            # Zero-phase: W and tau stay in step.
-            return x if self.decimation == 1 else np.asarray(decimate(x, self.decimation, axis=0))
-
         def fit(simulated: Recording) -> LinearFit:
-            motion = simulated.motion
-            W = decimated(regressor_of(experiment, motion))
-            b = decimated(rows_of(experiment, experiment.raw.tau) - experiment.known(motion))
+            W, b = self._rows(experiment, simulated)
             # The stop rule compares residuals of two iterations, and needs weights that stay
             # between them: those of the torques, not of the residuals.
             size = error_noise(b, floor_of(b))
@@ -247,6 +253,22 @@ class DIDIM:
 
         published = PublishedFit(simulatable, simulate, fit, self.tolerance, self.iterations)
         return published.run(start)
+
+    def _rows(self, experiment: Experiment, simulated: Recording) -> tuple[Array, Array]:
+        """W (M, rows, r) along the simulated motion and b (M, rows) of the measured torque."""
+        if self.rows == PIPELINE:
+            at = indices_of(experiment.recording.t, simulated.t)
+            motion, tau = samples_of(simulated.motion, at), experiment.recording.tau
+            W, b = regressor_of(experiment, motion), rows_of(experiment, tau)
+            return experiment.filter_rows(W), experiment.filter_rows(b - experiment.known(motion))
+        motion = simulated.motion
+        W, b = regressor_of(experiment, motion), rows_of(experiment, experiment.raw.tau)
+        b = b - experiment.known(motion)
+        if self.decimation == 1:
+            return W, b
+        # Zero-phase: W and tau stay in step.
+        W, b = (np.asarray(decimate(x, self.decimation, axis=0)) for x in (W, b))
+        return W, b
 
 
 WEAK = 1e-6
