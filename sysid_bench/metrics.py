@@ -120,7 +120,7 @@ _DATA: Final = (
     Metric("plant_step", "Step of the plant", "s"),
     Metric("candidate_step", "Step of candidate models", "s"),
     Metric("candidate_simulator", "What simulates candidate models"),
-    Metric("same_simulator", "Plant and candidate models with one step and integrator"),
+    Metric("same_simulator", "Plant and candidates with one step and integrator, or simulator"),
     Metric("q_margin", "Share of the position limits left", better="higher",
            formula="smallest over all motions and joints; negative beyond a limit"),
     Metric("v_margin", "Share of the velocity limits left", better="higher",

@@ -81,6 +81,9 @@ INTEGRATORS: Final = ("auto", "euler", "implicitfast", "implicit", "rk4")
 """Integrators of a closed loop; "auto" is semi-implicit Euler where the torque is held over the
 control period, else "implicitfast"."""
 
+SIMULATORS: Final = ("mujoco", "lanes")
+"""Simulators of a closed loop: MuJoCo, or the steps of lanes.c."""
+
 STATISTICS: Final = ("median", "mean", "min", "max", "count")
 INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
 BESTS: Final = ("none", "min-bold", "max-bold", "bold")

@@ -35,7 +35,7 @@ NOT_MADE_AGAIN: dict[str, str] = {
 }
 """Pages of which a part is older than the suite, as the page states; its run has no kept row."""
 OTHER: dict[str, str] = {
-    "actuators": "suites actuators, pace-claims, go2-repeat, peers of recorded legs: hours",
+    "actuators": "reports/make/actuators*.py; recorded robots, and times of a machine",
     "cluster": "reports.make.cluster_scale; times of a machine",
     "diagnose": "reports/make/planted_mistakes.py; recorded robots",
     "excite": "tests/benchmarks/test_excitation.py; times of a machine",

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.apps.actuators.delay_profile import RESOLVED
 from sysid_bench.apps.actuators.drive_estimate import DriveEstimate, identify_drives
 from sysid_bench.apps.actuators.drive_rows import drive_rows
 from sysid_bench.apps.actuators.rollout import Drives, rollout_error, test_end
@@ -63,9 +62,11 @@ def of_model(robot: RobotModel, log: Log) -> Drives:
 
 
 def main() -> None:
-    """Print a line for each recording."""
+    """Print a row for each recording."""
     data = Path(os.environ["SYSID_BENCH_DATA"])
-    print("recording   ours  whole  least sq.  model file  CPU s  delay ms  open ms  on bound")
+    print("| recording | linear fit | whole samples | least squares | model file | CPU s "
+          "| delay, ms | open by, ms | values on a bound |")  # fmt: skip
+    print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
     for (name, run), published in RUNS.items():
         robot = load_robot(data / name / f"{name}.xml")
         log = recording(data / name, run, robot)
@@ -78,11 +79,10 @@ def main() -> None:
             for drives in (fit.drives, whole.drives, of_model(robot, log))
         )
         assert fit.separation is not None
-        mark = "confounded" if fit.separation.open > RESOLVED else ""
         print(
-            f"{f'{name} {run}':10} {ours:5.2f}  {same:5.2f}  {published:9.2f}  {model:10.2f}  "
-            f"{seconds:5.2f}  {1e3 * fit.delay:8.1f}  {1e3 * fit.separation.open:7.1f}  "
-            f"{int(fit.fit.at_bound.sum()):8d}  {mark}",
+            f"| {name} {run} | {ours:.2f} | {same:.2f} | {published:.2f} | {model:.2f} | "
+            f"{seconds:.2f} | {1e3 * fit.delay:.1f} | {1e3 * fit.separation.open:.1f} | "
+            f"{int(fit.fit.at_bound.sum())} |",
             flush=True,
         )
 

@@ -128,7 +128,7 @@ class ExciteCommand(ExciteRequest):
     starts: int | None = option("Starts of the search. Default: 1.", default=None, least=1)
     gains: Mapping[str, Sequence[float]] = option(
         "Task actuators: gains of the position controller (N m/rad, N m s/rad); one number for all "
-        "joints, or one each. Default: those of the model's actuators.",
+        "joints, or one each. Default: those of the model's actuators, else assumed ones.",
         default={}, flags="--gain", metavar="kp|kd=X[,X...]", several=True, parse=parse_limits,
         when=("--task actuators",),
     )  # fmt: skip

@@ -15,7 +15,10 @@ MANY: Final = 0.02
 """Share of the samples from which a defect that the reader found is a warning; fewer are noted."""
 ADVICE: Final = {
     "rate": "correct rate, or the unit of time",
-    "velocity": "correct the columns, the unit or the ratio of v",
+    "velocity": (
+        "correct the columns, the unit or the ratio of v, or of q; or leave v out: rates are then "
+        "differences of q"
+    ),
     "units": "correct unit, gain, ratio or offset",
     "held": "correct rate to that of the data, or record faster",
     "lost": "give time = the column of stamps",
@@ -263,7 +266,9 @@ def spikes(evidence: DiagnoseInput) -> Iterator[Finding]:
         edit = "remove these rows from the file, or use an estimator that is robust: huber"
         blind = "spikes of several samples"
         pairs = zip(evidence.columns, rows, strict=True)
-        power = [(x[hit, c] ** 2).sum() / np.nansum(x[:, c] ** 2) for c, hit in pairs if len(hit)]
+        # Squares of numbers above 1e154 overflow.
+        shares = [(x[:, c] / np.nanmax(np.abs(x[:, c])), hit) for c, hit in pairs if len(hit)]
+        power = [(one[hit] ** 2).sum() / np.nansum(one**2) for one, hit in shares]
         severity = ERROR if max(power) > NOTHING_ELSE else WARNING
         yield Finding("spikes", severity, text, names, edit=edit, blind=blind)
 
@@ -281,7 +286,7 @@ def _spike_rows(x: Array) -> Array:
     # A spike is above both neighbours, or below both: steps of a steep slope are none.
     steps = np.diff(valid, prepend=valid[:1], append=valid[-1:])
     up, down = steps[:-1], -steps[1:]
-    peaks = np.where(up * down > 0, np.minimum(np.abs(up), np.abs(down)), 0.0)
+    peaks = np.where((up > 0) == (down > 0), np.minimum(np.abs(up), np.abs(down)), 0.0)
     rows = np.flatnonzero((distance > height) & (peaks > height))
     return rows if high > low and len(rows) <= MOST * len(x) else rows[:0]
 

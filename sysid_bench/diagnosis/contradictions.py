@@ -188,12 +188,15 @@ def _is_visible(candidate: Candidate, current: Hypothesis) -> bool:
     return candidate.is_gross or removed >= (min(NOTICED, least) if of_some else least)
 
 
-def _is_disputed(best: Candidate, others: Sequence[Candidate], before: Hypothesis) -> bool:
-    """True where gains are about as likely of which one is far larger: none is one to apply."""
+def _is_disputed(best: Candidate, candidates: Sequence[Candidate], before: Hypothesis) -> bool:
+    """True where gains that are far apart are about as likely: none is one to apply."""
+    if best.name != GAIN:
+        return False
     gains, least = np.abs(np.diag(best.hypothesis.mixing)), RIVAL * best.gain(before)
-    rivals = [one for one in others if one.name == best.name == GAIN and one.gain(before) >= least]
-    far = [np.abs(np.diag(one.hypothesis.mixing)) > of_torque.APART * gains for one in rivals]
-    return bool(np.any(far))
+    rivals = [one for one in candidates if one.name == GAIN and one.gain(before) >= least]
+    others = [np.abs(np.diag(one.hypothesis.mixing)) for one in rivals]
+    far = of_torque.APART
+    return any(bool(((one > far * gains) | (gains > far * one)).any()) for one in others)
 
 
 def _finding(candidates: Sequence[Candidate], before: Hypothesis) -> Finding:

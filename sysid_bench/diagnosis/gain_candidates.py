@@ -138,7 +138,7 @@ def torque_scale(evidence: DiagnoseInput, found: Sequence[Finding]) -> Iterator[
         severity = WARNING if is_load else ERROR
         yield Finding(
             "current", severity, f"tau does not hold torques of joints in N m: {reason}", e.joints,
-            edit="tau = { unit = 'A', gain = [...] }, or ratio = [...] of the gears", blind=BLIND,
+            edit="tau = { unit = 'A', gain = ... }, or ratio = ... of the gears", blind=BLIND,
         )  # fmt: skip
 
 

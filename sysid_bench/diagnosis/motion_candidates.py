@@ -74,7 +74,7 @@ def encoder_offset(before: Hypothesis) -> Iterator[Candidate]:
     offset; that of the joint that fits best is searched to the end."""
     e = before.evidence
     best: tuple[Candidate, float] | None = None
-    for j, small in enumerate(_small_offsets(before, range(e.count))):
+    for j, small in enumerate(_small_offsets(before, range(e.count), SMALLEST)):
         quarters = QUARTERS if e.kinds[j] == "hinge" else ()
         for offset in (*quarters, float(small)):
             if abs(offset) >= SMALLEST:
@@ -117,9 +117,10 @@ def _moved(before: Hypothesis, j: int, offset: float) -> Candidate:
     )  # fmt: skip
 
 
-def _small_offsets(before: Hypothesis, joints: Sequence[int]) -> Array:
+def _small_offsets(before: Hypothesis, joints: Sequence[int], least: float = 0.0) -> Array:
     """Offset (k,) of each of some joints alone that minimises the cost, with torques linear in
-    it: their derivatives by the positions are further columns of the fit."""
+    it: their derivatives by the positions are further columns of the fit. Those below `least` may
+    be left out."""
     e, links, n = before.evidence, before.fit.links, before.evidence.count
     reference = e.regressor(before.motion) @ links
     slopes = []
@@ -132,6 +133,8 @@ def _small_offsets(before: Hypothesis, joints: Sequence[int]) -> Array:
     for k in range(len(joints)):
         best = before.fit.score
         for size in TRIED:
+            if size < least and offsets[k] == 0:
+                break  # the steps that are left sum up to less
             for moved in (offsets[k] - size, offsets[k] + size):
                 # The fit of torques less slope times offset: no new regressor.
                 mixing = np.zeros((n + len(joints), n))

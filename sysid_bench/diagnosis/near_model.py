@@ -6,6 +6,7 @@ gravity, to which a free fit is blind, remain in the residual of this one.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -135,6 +136,12 @@ class NearModel:
             self._eliminated[j, held] = left, fitted
         return self._eliminated[j, held]
 
+    @cached_property
+    def _free(self) -> tuple[Array, Array]:
+        """Mean products (n, c - 4, c - 4) and terms (n, 4, c - 4) of all joints, no term held."""
+        P, fitted = zip(*(self.without_terms(j) for j in range(len(self.products))), strict=True)
+        return np.stack(P), np.stack(fitted)
+
     def fit(self, mixing: Array) -> NearModelFit:
         """Fit of the torques T @ mixing, T the recorded ones (N, k) and mixing (k, n)."""
         n, scale = len(self.products), self.torque_scale(mixing)
@@ -164,8 +171,7 @@ class NearModel:
         """Variances (p,) of the link parameters in the fit of T @ mixing, over those of the
         prior."""
         r, weight = self.rank, _weights(self.fit(mixing).residual ** 2) * self.torque_scale(mixing)
-        P = np.stack([self.without_terms(j)[0][:r, :r] for j in range(len(self.products))])
-        H = FLOOR**2 * np.eye(r) + self.parts * np.tensordot(weight, P, axes=1)
+        H = FLOOR**2 * np.eye(r) + self.parts * np.tensordot(weight, self._free[0], axes=1)[:r, :r]
         # Directions without any effect on the torque keep the spread of the prior.
         unknown = np.maximum(1.0 - (self.basis**2).sum(axis=1), 0.0)
         known = FLOOR**2 * np.linalg.inv(H)
@@ -182,14 +188,13 @@ class NearModel:
         their scales, with no negative friction or armature, by an active set: [-links, sides]
         (n, r + k + 1), the terms, and the squares (n,) of the residuals."""
         r, n = self.rank, len(sides)
-        held = np.zeros(n, dtype=int)
-        parts = [self.without_terms(j) for j in range(n)]
-        P, fitted = (np.stack(one) for one in zip(*parts, strict=True))
+        held, weight = np.zeros(n, dtype=int), self.parts * scale
+        P, fitted = (part.copy() for part in self._free)
         for _ in range(ROUNDS):
-            H = np.tensordot(self.parts * scale, P[:, :r, :r], axes=1)
+            H = (weight @ P.reshape(n, -1)).reshape(P.shape[1:])[:r, :r]
             # Beyond sixteen digits, as of positions in another unit, the prior would be lost.
-            H.flat[:: r + 1] += FLOOR**2 + 1e-14 * H.diagonal().max(initial=0.0)
-            b = self.parts * scale @ (P[:, :r, r:] @ sides[:, :, None])[:, :, 0]
+            H[range(r), range(r)] += FLOOR**2 + 1e-14 * H.diagonal().max(initial=0.0)
+            b = weight @ (P[:, :r, r:] @ sides[:, :, None])[:, :, 0]
             # Residuals from the products alone: those of the combination torque - links.
             full = np.empty((n, P.shape[1]))
             full[:, :r], full[:, r:] = -np.linalg.solve(H, b), sides

@@ -28,7 +28,9 @@ GROUPS: Final[Sequence[tuple[str, Sequence[Callable[[DiagnoseInput], Iterable[Fi
 
 
 UNITS: Final = "units"
-"""Name of the contradiction that numbers are beyond what their joint reaches."""
+EXCHANGES: Final = (UNITS, "columns")
+"""Name of the contradiction that numbers are beyond what their joint reaches, and of those that
+explain it."""
 
 
 def diagnose(evidence: DiagnoseInput, accept: Collection[str] = ()) -> list[Finding]:
@@ -42,13 +44,20 @@ def diagnose(evidence: DiagnoseInput, accept: Collection[str] = ()) -> list[Find
         found = [finding for check in checks for finding in check(evidence)]
         if any(one.is_error and one.name != UNITS for one in findings):
             found = [replace(one, severity=WARNING) if one.is_error else one for one in found]
+        # Numbers beyond the limits of their joint may be those of another one, and nothing else.
+        is_last = contradictions in checks
+        if is_last and contradictions_left(findings, accept) and _first(found) not in EXCHANGES:
+            found = []
         findings += found
-        # Numbers beyond the limits of their joint may be those of another one.
-        passed = () if contradictions in checks else (UNITS,)
+        passed = () if is_last else (UNITS,)
         if contradictions_left(findings, {*accept, *passed}):
             break
     # A defect of a channel costs accuracy; what contradicts the model makes the answer wrong.
     return sorted(findings, key=lambda one: (SEVERITIES.index(one.severity), not one.alternatives))
+
+
+def _first(found: Sequence[Finding]) -> str:
+    return found[0].name if found else ""
 
 
 def contradictions_left(findings: Sequence[Finding], accept: Collection[str]) -> list[Finding]:

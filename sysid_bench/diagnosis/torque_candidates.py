@@ -207,6 +207,8 @@ def _gain(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Candidate]:
     between = f"{level_text()} in [{interval[0]:.3g}, {interval[1]:.3g}]"
     most = ERROR if is_number and interval[0] >= (SAME if is_common else SMALLEST) else WARNING
     edit, doubt = gain_edits(e, joint_factors(e.count, joints, factor), half)
+    # What the other joints leave open may be a gain of its own in each of these, as of currents.
+    edit = doubt if is_common and len(joints) < e.count else edit
     yield Candidate(
         "gain", joints, found, f"the torque of {names} is about {estimate} ({between}): {cause}",
         edit, BLIND_GAIN, most=most, doubt=doubt, estimate=estimate, interval=interval,

@@ -80,8 +80,7 @@ def _model_files(
         manifest = find_manifest(robot, robots_dir, folder)
     except SysidBenchError:
         return None
-    is_generated = manifest.text is not None and not manifest.path.is_file()
-    files = (None if is_generated else manifest.path, manifest.manifest_file)
+    files = (manifest.path if manifest.text is None else None, manifest.manifest_file)
     return tuple(filter(None, files))
 
 

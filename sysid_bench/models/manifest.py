@@ -365,8 +365,8 @@ def _random(source: str) -> Manifest:
     kind, _, seed = source.removeprefix(f"{RANDOM}:").rpartition(":")
     if not re.fullmatch("[0-9]{1,18}", seed):
         raise UsageError(
-            f"{source!r}: the seed of a random robot must be a whole number; write 'random:7' for "
-            "a tree, 'random:four-bar:7' for one with a mechanism."
+            f"{source!r}: the seed of a random robot must be a whole number of at most 18 digits; "
+            "write 'random:7' for a tree, 'random:four-bar:7' for one with a mechanism."
         )
     text = random_coupled_robot(kind, int(seed)) if kind else random_robot(int(seed))
     title = f"A random {kind or 'tree'}, seed {int(seed)}"

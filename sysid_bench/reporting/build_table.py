@@ -161,8 +161,8 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
     same = int(cells["same_simulator"].eq(True).sum()) if "same_simulator" in cells.columns else 0
     if same:
         yield (
-            f"Plant and candidate models share step and integrator in {same} of "
-            f"{len(cells)} cells: errors of methods that simulate are too small there."
+            "Plant and candidate models share step and integrator, or the simulator, in "
+            f"{same} of {len(cells)} cells: errors of methods that simulate are too small there."
         )
     for metric in layout.metrics:
         yield from _names(cells, layout, metric)

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from itertools import chain
 from typing import Any, Final
 
@@ -212,11 +213,32 @@ def _joints(q: Columns, joints: Sequence[str], tables: Tables) -> _GuessedKey:
         return _GuessedKey("joints", listed, "the file lists them")
     named = column_names.joints_of_columns([str(column) for column in q.columns], joints)
     if named is not None and len(named) == count:
-        return _GuessedKey("joints", named, "their names are in those of the columns")
+        reason = "their names are in those of the columns"
+        return _GuessedKey("joints", named, _misspelt(q, named, joints, tables) or reason)
     reason = "in the order of the model: check it"
     if count != len(joints):
         reason = f"{DOUBT}{count} columns for the {len(joints)} joints of the model: check them"
     return _GuessedKey("joints", _sized(joints, count), reason)
+
+
+ALIKE: Final = 0.85
+"""Similarity (difflib) above which a column's name may be that of a joint, misspelt."""
+
+
+def _misspelt(q: Columns, named: Sequence[str], joints: Sequence[str], tables: Tables) -> str:
+    """Return the doubt about a column that names no joint, but nearly one without positions; ""
+    where there is none."""
+    others = [
+        name
+        for _, table in tables
+        for name in table.names
+        if not column_names.joint_in(name, joints)
+    ]
+    for joint in (joint for joint in joints if joint not in named):
+        expected = str(q.columns[0]).replace(named[0], joint)
+        for name in get_close_matches(expected, others, 1, ALIKE):
+            return f"{DOUBT}{joint!r} has no column and counts as still; is {name!r} its position?"
+    return ""
 
 
 def _time(found: Mapping[str, Columns], tables: Tables) -> tuple[list[_GuessedKey], float]:

@@ -107,7 +107,7 @@ class TorqueFit:
     @classmethod
     def of(cls, q: Array, t: Array, robot: RobotModel, joints: Sequence[str]) -> "TorqueFit | None":
         """Evaluate the model along positions q (N, k) at t (N,), without forces of loops, with the
-        base at rest; None for short recordings."""
+        base at rest; None for short recordings, and for times that do not rise."""
         joint_of = {
             joint.dofs[0]: joint for joint in robot.joints if joint.kind in ("hinge", "slide")
         }
@@ -122,7 +122,9 @@ class TorqueFit:
             q = np.deg2rad(q)
         skip = max(1, len(q) // 4000)
         q, t = _smoothed(q[::skip]), t[::skip]
-        step = max(float(np.median(np.diff(t))), 1e-300)
+        step = float(np.median(np.diff(t)))
+        if not step > 0.0:
+            return None
         step = next((step * unit for unit in (1.0, 1e-3, 1e-6) if step * unit < 0.5), step * 1e-9)
         v = np.gradient(q, step, axis=0)
         a = np.gradient(_smoothed(v), step, axis=0)

@@ -150,7 +150,8 @@ static inline void sine_cosine(V x, V *s, V *c)
     *c = (V)(((b & ~swap) | (a & swap)) ^ (((quarter + 1) & 2) << 62));
 }
 
-/* Reduction by ln 2 in two parts and Taylor's series to the 13th power, two units in the last place. */
+/* Reduction by ln 2 in two parts and Taylor's series to the 13th power, two units in the last place;
+ * even and odd powers are summed apart, since one chain of sums would wait for each of its own. */
 static inline V exponential(V x)
 {
     const double to_integer = 0x1.8p52;
@@ -158,10 +159,12 @@ static inline V exponential(V x)
     V n = x * 1.44269504088896338700 + to_integer;
     I power = (I)n << 52;
     n -= to_integer;
-    V r = (x - n * 6.93147180369123816490e-01) - n * 1.90821492927058770002e-10, y = all(1.0 / 13);
-    for (int i = 12; i > 0; i--)
-        y = (1.0 + r * y) * (1.0 / i);
-    return (V)((I)(1.0 + r * y) + power);
+    V r = (x - n * 6.93147180369123816490e-01) - n * 1.90821492927058770002e-10, z = r * r;
+    V even = 1.0 + z * (1.0 / 2 + z * (1.0 / 24 + z * (1.0 / 720 + z * (1.0 / 40320
+           + z * (1.0 / 3628800 + z * (1.0 / 479001600))))));
+    V odd = 1.0 + z * (1.0 / 6 + z * (1.0 / 120 + z * (1.0 / 5040 + z * (1.0 / 362880
+          + z * (1.0 / 39916800 + z * (1.0 / 6227020800.0))))));
+    return (V)((I)(even + r * odd) + power);
 }
 
 /* Its error is relative to 1, not to a small value: friction near zero rate is as exact as friction. */
@@ -259,8 +262,8 @@ static inline void place(const Tree *t, int64_t j, const V *q, Frame *f)
 /* Rates of a joint's frame at zero joint accelerations, and what its inertia then needs. */
 static inline void move(const Tree *t, int64_t j, const V *v, const Frame *before, Frame *f)
 {
-    V3 zero = {0}, w = zero, alpha = zero, d = {-all(t->gravity[0]), -all(t->gravity[1]),
-                                               -all(t->gravity[2])};
+    const V none = all(0.0);
+    V3 w = {none, none, none}, alpha = w, d = scaled(all3(t->gravity), all(-1.0));
     if (before) {
         d = add(before->d, swing(before->w, before->alpha, f->p));
         w = turn_back(f->R, before->w);

@@ -16,6 +16,7 @@ from sysid_bench.simulation.compiled_steps import CompiledRun, Signals, run_step
 from sysid_bench.simulation.model_errors import plant_controller
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
+from sysid_bench.simulation.plant_batch import PlantBatch, uncovered
 from sysid_bench.simulation.sensors import recursive_filter
 from sysid_bench.simulation.tracking_model import (
     StepChoice,
@@ -25,7 +26,7 @@ from sysid_bench.simulation.tracking_model import (
     tracking_model,
 )
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
-from sysid_bench.words import INTEGRATORS
+from sysid_bench.words import INTEGRATORS, SIMULATORS
 
 EXPLICIT_DECAY: Final = 1.0
 """Largest product of control period and fastest decay rate for a torque that is held over a period,
@@ -52,7 +53,8 @@ class TrackingControl:
 
     The plant takes `substeps` steps per control period, or more where its internal springs need
     them, with the `integrator` "euler" (semi-implicit), "implicitfast", "implicit" or "rk4";
-    "auto" is "euler" where the torque is held over the period, else "implicitfast".
+    "auto" is "euler" where the torque is held over the period, else "implicitfast". The `simulator`
+    is "mujoco", or "lanes" (lanes.c, faster; MuJoCo where that does not cover the plant).
     """
 
     rate: float = field(default=1000.0, metadata={"unit": "Hz"})
@@ -64,6 +66,7 @@ class TrackingControl:
     kd: float | Sequence[float] | None = None
     substeps: int = 4
     integrator: str = "auto"
+    simulator: str = "mujoco"
 
     def __post_init__(self) -> None:
         if (self.kp is None) != (self.kd is None):
@@ -75,6 +78,8 @@ class TrackingControl:
             raise UsageError(f"substeps = {steps!r}: give a whole number of 1 or more.")
         if self.integrator not in INTEGRATORS:
             raise unknown_name("integrator", self.integrator, INTEGRATORS)
+        if self.simulator not in SIMULATORS:
+            raise unknown_name("simulator", self.simulator, SIMULATORS)
 
     @property
     def step_choice(self) -> StepChoice:
@@ -119,11 +124,16 @@ class TrackingControl:
         whole, control = self.inputs(plant, controller, commanded, encoder)
         each: int = round((whole.t[1] - whole.t[0]) / mj.opt.timestep)
         drive = drive_of(plant, controller, self.step_choice, each)
-        data = mujoco.MjData(mj)
-        data.qpos[:], data.qvel[:] = whole.q[0], whole.v[0]
-        signals = run_steps(
-            CompiledRun(plant, mj, data, drive, t=whole.t, control=control, each=each)
-        )
+        if self.simulator == "lanes" and not uncovered(plant, mj):
+            q, v = whole.q[:1], whole.v[:1]
+            batch = PlantBatch(mj, [plant], drive, t=whole.t, control=control, q=q, v=v, each=each)
+            signals = Signals(*(x[0] for x in vars(batch.run()).values()))
+        else:
+            data = mujoco.MjData(mj)
+            data.qpos[:], data.qvel[:] = whole.q[0], whole.v[0]
+            signals = run_steps(
+                CompiledRun(plant, mj, data, drive, t=whole.t, control=control, each=each)
+            )
         return oracle_of(plant, commanded, signals, mj.opt.timestep)
 
     def inputs(

@@ -174,7 +174,7 @@ def test_slow_limits_leave_delay_and_armature_confounded(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"gains": {}}, "--gain kp="),
+        ({"gains": {"kp": [30.0]}}, "kd is missing"),
         ({"gains": {"kp": [30.0, 20.0], "kd": [1.0]}}, "one for each of 3 joints"),
         ({"limits": {"a": [1.0]}}, "No limit"),
         ({"joints": ("knee",)}, "knee"),

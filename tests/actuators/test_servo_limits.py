@@ -12,10 +12,14 @@ import pytest
 import sysid_bench
 from sysid_bench.apps.actuators.backlash import load_steps
 from sysid_bench.apps.actuators.commands.actuators_result import ActuatorsResult
+from sysid_bench.apps.actuators.commands.excite_actuators import CommandsRequest
 from sysid_bench.apps.actuators.commands.file_ranges import unit_fields
 from sysid_bench.apps.actuators.drive_estimate import identify_drives
 from sysid_bench.apps.actuators.drive_rows import SERVO, drive_rows
+from sysid_bench.apps.actuators.rollout import Drives, simulated_positions
 from sysid_bench.errors import UsageError
+from sysid_bench.models.load import load_robot
+from sysid_bench.signals.position_control import Commands
 from sysid_bench.types import Array
 from tests.actuators.leg import JOINTS, MODEL, RATE, Case, leg
 
@@ -187,3 +191,48 @@ def test_robots_are_named_by_their_logs(model: Path) -> None:
     assert result.files is not None
     assert set(result.files["units"]) == set(JOINTS)
     assert "between robots of one type" in result.summary()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("share", "seed"), [(1.5, 0), (0.5, 2), (2.5, 2), (0.5, 4), (2.5, 4)])
+def test_two_designed_motions_are_enough_for_unknown_gains(
+    tmp_path: Path, share: float, seed: int
+) -> None:
+    """The servo has a share of the assumed gains, which nobody knows."""
+    file = tmp_path / "servo.xml"
+    motors = "".join(f'<motor joint="{x}" ctrlrange="-6 6" ctrllimited="true"/>' for x in JOINTS)
+    file.write_text(MODEL.split("<actuator>")[0] + f"<actuator>{motors}</actuator></mujoco>")
+    robot, values, files = load_robot(file), Case(seed, 0.0).values, []
+    for i in (seed, seed + 1):
+        designed = CommandsRequest(
+            file, limits={"tau": [6.0]}, out=tmp_path / f"{i}.csv", period=6.0, starts=1,
+            iterations=1, seed=i,
+        ).design(lambda count, value: None)  # fmt: skip
+        assert any("gains of the servo are not known" in text for text in designed.warnings)
+        table = np.genfromtxt(tmp_path / f"{i}.csv", delimiter=",", names=True, deletechars="")
+        names = ("q_des", "kp", "kd")
+        q_des, kp, kd = (np.column_stack([table[f"{x}.{k}"] for x in JOINTS]) for k in names)
+        zeros = np.zeros_like(q_des)
+        commands = Commands(
+            joints=JOINTS, rate=200.0, q=q_des, v=zeros, q_des=q_des, v_des=zeros,
+            feedforward=zeros, kp=share * kp, kd=share * kd, limit=np.full(3, np.inf), delay=None,
+        )  # fmt: skip
+        q = simulated_positions(robot, Drives(JOINTS, values, 0.006), commands, slice(None))
+        np.savez(tmp_path / f"{i}.npz", q=q + 1e-4 * np.sin(np.arange(q.size)).reshape(q.shape),
+                 q_des=q_des)  # fmt: skip
+        files.append(tmp_path / f"{i}.toml")
+        files[-1].write_text(
+            f'file = "{i}.npz"\nrate = "200 Hz"\njoints = {json.dumps(JOINTS)}\n'
+            'q = { columns = "q" }\n'
+            f'tau = {{ pd = {{ q_des = "q_des", kp = {kp[0].tolist()}, kd = {kd[0].tolist()}, '
+            'delay = "profile" } }\n'
+        )
+    result = sysid_bench.identify(
+        file, task="actuators", log=files[:1], test=files[1:], also=["gain"], accept=["worse"]
+    )
+    assert isinstance(result, ActuatorsResult)
+    assert result.rollout_error is not None
+    assert result.rollout_error < 0.4 * result.scores["rollout_error_command"]
+    for one in result.gains or []:
+        if one["determined"]:
+            assert one["gain"] == pytest.approx(share, rel=0.25)

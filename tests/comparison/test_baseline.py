@@ -551,6 +551,7 @@ def test_rows_of_a_run_are_read_for_the_metrics_asked_for(tmp_path: Path) -> Non
         values = dict(zip(found.metrics, found.cells[cell.id].values, strict=True))
         assert values["torque_error"] == 0.25
     assert found.models.keys() == {"ur5"}
+    assert found.parameters == {}  # no row has any
     with pytest.raises(UsageError, match="torque_eror"):
         read_run(folder, ("torque_eror",))
 

@@ -181,7 +181,7 @@ def test_a_column_without_numbers_is_named(tmp_path: Path, joint: int, stamped: 
         read_log(description, robot)
 
 
-@pytest.mark.parametrize(("height", "severity"), [(8.0, WARNING), (1e5, ERROR)])
+@pytest.mark.parametrize(("height", "severity"), [(8.0, WARNING), (1e5, ERROR), (1e200, ERROR)])
 def test_spikes_that_are_most_of_a_channel_are_errors(
     tmp_path: Path, height: float, severity: str
 ) -> None:

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from harness_world import NAMES, small
@@ -133,6 +134,27 @@ def test_a_cell_depends_on_its_model_and_on_every_plugin_file(tmp_path: Path) ->
     (tmp_path / "arm.urdf").unlink()
     forget()
     assert cell_fingerprint(cell, None, tmp_path) == ""
+
+
+def test_a_generated_robot_has_a_fingerprint(tmp_path: Path) -> None:
+    text = 'schema = 1\nname = "s"\n[[robot]]\nuse = "{}"\n[[estimator]]\nuse = "ols"\n'
+    for robot in ("random:7", "random:four-bar:7"):
+        suite = parse_suite(text.format(robot), "suite.toml", tmp_path)
+        assert cell_fingerprint(cells_of_suite(suite).cells[0], None, tmp_path)
+
+
+def test_a_fingerprint_follows_versions_of_python_and_not_their_patches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.xml").write_text("<mujoco/>")
+    found = []
+    for version in ((3, 12, 1), (3, 12, 9), (3, 13, 1), (4, 12, 1)):
+        monkeypatch.setattr(fingerprints, "sys", SimpleNamespace(version_info=version))
+        forget()
+        found.append(fingerprint([tmp_path / "a.xml"], ()))
+    assert found[0] == found[1]
+    assert len(set(found)) == 3
+    assert all(len(one) == 16 for one in found)
 
 
 @pytest.mark.parametrize("gone", [0, 1, 2])

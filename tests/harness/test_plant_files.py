@@ -149,7 +149,7 @@ def test_one_simulator_for_plant_and_candidates_is_stated_below_tables(tmp_path:
         folder = tmp_path / step.replace(" ", "")
         run(suite, folder, jobs=1, select='estimator == "wls"')
         notes[step] = table(folder, "error")
-    assert "share step and integrator in 1 of 1 cells" in notes["0.5 ms"]
+    assert "share step and integrator, or the simulator, in 1 of 1 cells" in notes["0.5 ms"]
     assert "share step" not in notes["1 ms"]
 
 

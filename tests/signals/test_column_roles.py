@@ -119,6 +119,27 @@ def test_blocks_that_are_no_torque_are_refused(taken: str, tmp_path: Path) -> No
     assert said == (taken != "velocity")  # of positions the second derivative is known
 
 
+def test_times_that_fall_say_nothing_about_the_scale() -> None:
+    robot = named_robot("ur5")
+    log = recorded(robot, 0, period=8.0)
+    assert scale_contradiction(log.q, 50 * log.tau, log.t[::-1], robot, robot.rows) == ""
+
+
+def test_a_misspelt_joint_is_doubted(tmp_path: Path) -> None:
+    robot = named_robot("ur5")
+    log = recorded(robot, 0, period=8.0)
+    columns = {"t": log.t}
+    for name, x in (("q", log.q), ("tau", log.tau)):
+        columns |= {f"{joint}.{name}": x[:, i] for i, joint in enumerate(robot.rows)}
+    table = pd.DataFrame(columns)
+    table.to_csv(tmp_path / "right.csv", index=False)
+    assert not any("still" in doubt for doubt in init_log(tmp_path / "right.csv", "ur5").doubts)
+    wrong = table.rename(columns=lambda name: name.replace("elbow_", "elbo_"))
+    wrong.to_csv(tmp_path / "wrong.csv", index=False)
+    doubts = init_log(tmp_path / "wrong.csv", "ur5").doubts
+    assert any("'elbow_joint'" in doubt and "'elbo_joint.q'" in doubt for doubt in doubts)
+
+
 @pytest.mark.parametrize("scale", [1.0, 0.01, 0.1, 180 / np.pi])
 @pytest.mark.parametrize("seed", range(3))
 def test_currents_by_the_name_of_torques_are_found(scale: float, seed: int) -> None:

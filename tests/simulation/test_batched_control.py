@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.errors import EstimationError, SimulationError
+from sysid_bench.errors import EstimationError, SimulationError, UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.simulation import batched_control
@@ -118,6 +118,27 @@ def test_mujoco_simulates_what_is_not_covered(
     still = np.zeros((20, len(controller.kp)))
     assert isinstance(ours, Oracle)
     np.testing.assert_array_equal(ours.tau, loop.follow(plant, controller, motion, still).tau)
+
+
+@pytest.mark.parametrize("effects", EFFECTS)
+def test_a_plant_may_move_by_either_simulator(effects: str) -> None:
+    plant = plant_of(named_robot("scara"), EFFECTS[effects])
+    motion = motion_of(plant)
+    encoder = 1e-5 * np.random.default_rng(0).normal(size=motion.q.shape)
+    theirs, controller = TrackingControl().run(plant, motion, encoder)
+    ours, same = TrackingControl(simulator="lanes").run(plant, motion, encoder)
+    assert controller is not None
+    assert same is not None
+    np.testing.assert_array_equal(same.kp, controller.kp)
+    np.testing.assert_allclose(ours.motion.q, theirs.motion.q, rtol=0, atol=1e-7)
+
+
+def test_a_plant_in_lanes_is_the_simulator_of_candidates() -> None:
+    fine, plant = Candidate(2.5e-4, "euler"), TrackingControl(integrator="rk4")
+    assert not fine.has_steps_of(plant, 2.5e-4)
+    assert fine.has_steps_of(replace(plant, simulator="lanes"), 2.5e-4)
+    with pytest.raises(UsageError, match="lanes"):
+        TrackingControl(simulator="lane")
 
 
 def test_mujoco_simulates_without_the_library(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -135,11 +135,14 @@ def check(robot: RobotModel, integrator: str, seconds: float, exact: float = 1e-
     if reason:
         assert "free body" in reason or "spring" in reason
         pytest.skip(reason)
-    if not np.isfinite(by_mujoco(batch, 0, integrator).q).all():
+    theirs = by_mujoco(batch, 0, integrator).q
+    if not np.isfinite(theirs).all():
         # Explicit dampers diverge where a joint moves little; so do ours.
         assert not np.isfinite(batch.run().q[0]).all()
         return
     apart = gap(batch, integrator, 1)[0]
+    # A base that falls for ten seconds is 490 m away, where numbers are that much coarser.
+    exact *= max(1.0, float(np.abs(theirs).max()))
     assert apart <= exact or apart <= 10 * sensitivity(batch, integrator)
 
 

@@ -193,7 +193,8 @@ class CommandProblem:
     """Robot and limits of a design: `whole` holds the gains in every sample, `drives` the assumed
     actuators; `low`, `high` (rad, m), `v` (/s) and `tau` (N m, N) are limits (k,), `reach` (k,) the
     largest amplitudes. `crowding`: positions (N, k) -> use of the clearance between links, above 1
-    where it is not kept. `line`: that of the motors, as in Commands."""
+    where it is not kept. `line`: that of the motors, as in Commands. `pairs`: sets of gains of the
+    parts, as shares of kp and kd, of which the most informative are taken."""
 
     robot: RobotModel
     whole: Commands
@@ -205,6 +206,7 @@ class CommandProblem:
     reach: Array
     crowding: Callable[[Array], float] = lambda q: 0.0
     line: Array | None = None
+    pairs: tuple[tuple[tuple[float, float], ...], ...] = GAINS
 
     @property
     def default_position(self) -> Array:
@@ -277,14 +279,18 @@ def design_commands(
         return candidate
 
     draws = [
-        seen(_candidate(brief, random_curves(rng, brief.default_position, brief.reach, GAINS[0])))
+        seen(
+            _candidate(
+                brief, random_curves(rng, brief.default_position, brief.reach, brief.pairs[0])
+            )
+        )
         for _ in range(starts)
     ]
     best = draws[0]
     for other in draws[1:]:
         # Joints move each other's links: joined waves are simulated anew, and need not be better.
         best = _better(best, seen(_candidate(brief, _joined(best, other))), other)
-    for gains in GAINS[1:]:
+    for gains in brief.pairs[1:]:
         best = _better(best, seen(_candidate(brief, replace(best.curves, gains=gains))))
     for _ in range(iterations):
         other = seen(_candidate(brief, random_near(best.curves, rng, SPREAD)))

@@ -246,7 +246,9 @@ def _true_parameters(
     from the first one that has any where no method returns base parameters alone."""
     fields = ["id", "body", "name", "true", "base_error"]
     lines = folder.frames().read("parameters", fields)
-    lines = lines[lines["true"].notna()] if "true" in lines else lines[:0]
+    if "true" not in lines:
+        return {}
+    lines = lines[lines["true"].notna()]
     done = cells[(cells["status"] == "ok") & cells["id"].isin(lines["id"].unique())]
     if "base_error" in lines:
         in_base = lines["base_error"].notna().groupby(lines["id"])

@@ -154,8 +154,9 @@ def _enter_namespaces(libc: ctypes.CDLL, folder: str, hidden: Sequence[str], pri
     with os.scandir("/dev") as entries:
         for path, mode in ((one.path, one.stat(follow_symlinks=False).st_mode) for one in entries):
             if stat.S_ISCHR(mode) and mode & _EVERY_USER == _EVERY_USER:
-                _mount(libc, path, path, None, _BIND)
-                devices.append(path)
+                with contextlib.suppress(OSError):
+                    _mount(libc, path, path, None, _BIND)
+                    devices.append(path)
     _set_mounts(libc, "/", add=_ATTRIBUTE_READ_ONLY | _ATTRIBUTE_NO_DEVICES)
     for path in (folder, *own):
         _set_mounts(libc, path, remove=_ATTRIBUTE_READ_ONLY)

@@ -6,8 +6,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
+import mujoco
 import numpy as np
 
+from sysid_bench.apps.actuators.command_design import GAINS as PAIRS
 from sysid_bench.apps.actuators.command_design import (
     OTHERS,
     RESIDUAL,
@@ -51,6 +53,18 @@ CROWDED: Final = 0.08
 THINNED: Final = 5
 """Samples per look at the distances."""
 
+STIFF: Final = 0.01
+"""rad, m: a servo whose file reaches its torque limit at a smaller error has other gains."""
+
+SATURATED: Final = 0.2
+"""rad, m: error of a servo of unknown gains at its torque limit."""
+
+BANDWIDTH: Final = 25.0
+"""rad/s, of one without a known torque limit."""
+
+RATIO: Final = 0.7
+"""Its damping ratio."""
+
 OPEN: Final = 0.1
 """Relative deviation of an armature from which the answer says what length would do."""
 
@@ -66,10 +80,11 @@ class CommandsRequest:
     """Commands to design for a position-commanded robot with known links.
 
     `gains`: kp (N m/rad, N/m) and kd of its controller, one number or one for each joint; those of
-    the model's position actuators where they are absent. `limits`: v, tau, alike, in place of the
-    robot's. `motors`: names of tables, one or one for each joint, whose torque, speed and armature
-    count as well. `joints` that move (None: all); `period` (s) of the recording with both sets of
-    gains, `rate` in Hz; `starts` and `iterations` of the search.
+    the model's position actuators where they are absent, and assumed ones where these are none or
+    none of a servo: then one set, since it cannot be changed. `limits`: v, tau, alike, in place of
+    the robot's. `motors`: names of tables, one or one for each joint, whose torque, speed and
+    armature count as well. `joints` that move (None: all); `period` (s) of the recording with both
+    sets of gains, `rate` in Hz; `starts` and `iterations` of the search.
     """
 
     robot: str | Path
@@ -88,8 +103,8 @@ class CommandsRequest:
     def design(self, on_value: OnValue) -> "CommandsResult":
         """Design commands, and write them to `out`: CSV of t, JOINT.q_des, JOINT.kp, JOINT.kd.
 
-        `on_value` is called during the search. Raises UsageError for unknown names and absent
-        gains, UnsupportedError for robots that are not simulated.
+        `on_value` is called during the search. Raises UsageError for unknown names and for one gain
+        without the other, UnsupportedError for robots that are not simulated.
         """
         start = time.perf_counter()
         check_seed(self.seed)
@@ -160,12 +175,13 @@ class CommandsResult(Result):
             first, second = self.gains[name]
             if second[0] != first[0]:
                 changes.append(f"{name} times {second[0] / first[0]:g}")
+        half = f", the second half with {' and '.join(changes)}" if changes else ""
+        alone = f"; under the first gains alone by {1e3 * self.one_gain_delay_open:.2g} ms"
         lines = [
             f"{self.robot}, task {self.task}: commands of {len(self.joints)} joints for "
-            f"{self.period:g} s at {self.rate:g} Hz, the second half with {' and '.join(changes)}",
+            f"{self.period:g} s at {self.rate:g} Hz{half}",
             f"  with residuals of {100 * RESIDUAL:.0f} % of the torque the delay is open by "
-            f"{1e3 * self.delay_open:.2g} ms; under the first gains alone by "
-            f"{1e3 * self.one_gain_delay_open:.2g} ms",
+            f"{1e3 * self.delay_open:.2g} ms{alone if changes else ''}",
             f"  deviations: delay {1e3 * self.delay_std:.2g} ms, armature up to "
             f"{100 * self.armature_std[worst]:.2g} % ({worst})",
             *(
@@ -246,7 +262,9 @@ def _problem(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
     q, v = joint_indices(robot, joints)
     count, k = round(request.period * request.rate), len(joints)
     zeros = np.zeros((count, k))
-    kp, kd = (np.tile(_gain(request, robot, name, joints), (count, 1)) for name in GAINS)
+    tau = _limit(request, "tau", _torque_limits(robot, joints))
+    gains, assumed = _gains(request, robot, joints, tau)
+    kp, kd = (np.tile(gains[name], (count, 1)) for name in GAINS)
     names = list(request.motors) or [""]
     if len(names) not in (1, k):
         raise UsageError(
@@ -270,10 +288,12 @@ def _problem(request: CommandsRequest, robot: RobotModel) -> CommandProblem:
         low=low,
         high=high,
         v=np.minimum(_limit(request, "v", limits.v[v]), values["line"][1]),
-        tau=np.minimum(_limit(request, "tau", torque_limits(robot, whole)), largest_torque(motors)),
+        tau=np.minimum(tau, largest_torque(motors)),
         reach=np.minimum(np.where(np.isfinite(half), half, np.inf), REACH),
         crowding=_crowding(robot, q),
         line=values["line"],
+        # The gains of a servo are not known to be changed by known shares.
+        pairs=(((1.0, 1.0),),) if assumed else PAIRS,
     )
 
 
@@ -297,18 +317,38 @@ def _numbers(what: str, values: Sequence[float], count: int) -> Array:
     return np.broadcast_to(numbers, count).copy()
 
 
-def _gain(request: CommandsRequest, robot: RobotModel, name: str, joints: Sequence[str]) -> Array:
-    """Gains (k,) of a request, else those of the model's position actuators."""
-    if name in request.gains:
-        return _numbers(f"The gain {name}", request.gains[name], len(joints))
+def _gains(
+    request: CommandsRequest, robot: RobotModel, joints: Sequence[str], tau: Array
+) -> tuple[dict[str, Array], bool]:
+    """Return kp and kd (k,) of a request, else of the model's position actuators, else assumed
+    ones, which is told."""
+    if request.gains:
+        if absent := set(GAINS) - set(request.gains):
+            raise UsageError(f"--gain needs kp and kd; {' and '.join(absent)} is missing.")
+        asked = request.gains.items()
+        return {k: _numbers(f"The gain {k}", x, len(joints)) for k, x in asked}, False
     stated = stated_actuators(robot.manifest) if robot.format == "mjcf" else {}
-    by_joint = {joint: getattr(one, name) for joint, one in stated.items() if one.kp > 0.0}
-    if not set(joints) <= set(by_joint):
-        raise UsageError(
-            f"Which gains has the controller? {robot.name} has no position actuators that state "
-            f"them: give --gain kp=20 --gain kd=1, or one for each of {', '.join(joints)}."
-        )
-    return np.array([by_joint[joint] for joint in joints])
+    if all(name in stated and stated[name].kp > 0.0 for name in joints):
+        own = {k: np.array([getattr(stated[name], k) for name in joints]) for k in GAINS}
+        if (tau >= STIFF * own["kp"]).all():
+            return own, False
+    _, v = joint_indices(robot, joints)
+    mj, data = robot.mj, mujoco.MjData(robot.mj)
+    M = np.zeros((mj.nv, mj.nv))
+    mujoco.mj_forward(mj, data)
+    mujoco.mj_fullM(mj, data, M)
+    inertia = np.diag(M)[v]
+    kp = np.where(np.isfinite(tau), tau / SATURATED, inertia * BANDWIDTH**2)
+    return {"kp": kp, "kd": 2.0 * RATIO * np.sqrt(kp * inertia)}, True
+
+
+def _torque_limits(robot: RobotModel, joints: tuple[str, ...]) -> Array:
+    """Return the torque limits (k,) of the joints or of the actuators of the model file."""
+    zeros = np.zeros((1, len(joints)))
+    return torque_limits(robot, Commands(
+        joints=joints, rate=1.0, q=zeros, v=None, q_des=zeros, v_des=zeros, feedforward=zeros,
+        kp=zeros, kd=zeros, limit=np.full(len(joints), np.inf), delay=None,
+    ))  # fmt: skip
 
 
 def _crowding(robot: RobotModel, places: Sequence[int]) -> Callable[[Array], float]:
@@ -385,6 +425,14 @@ def _warnings(
         yield (
             "within these limits delay and armature stay confounded: allow faster motions; the "
             f"{kind} of {used[kind]['at']} is at its limit"
+        )
+    if len(problem.pairs) == 1:
+        kp = problem.whole.kp[0]
+        yield (
+            "the gains of the servo are not known, or its file's ask for more than the torque "
+            f"limit at an error of {1e3 * STIFF:g} mrad: kp of {kp.min():.3g} to {kp.max():.3g} "
+            "N m/rad is assumed, for which alone limits hold: watch the first run. A start for "
+            "--task actuators --also gain; give --gain kp=... and kd=... where they are known"
         )
     armature = _armature_std(problem, candidate)
     worst = int(armature.argmax())
