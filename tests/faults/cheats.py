@@ -240,6 +240,17 @@ class Keys(_Cheat):
         return bool(found)
 
 
+class Cached(_Cheat):
+    """Asks which pages of a file are in memory, as a method before could have left them."""
+
+    def reach(self, problem: Any) -> bool:
+        with Path(sys.executable).open("rb") as file:
+            with contextlib.suppress(OSError):
+                os.posix_fadvise(file.fileno(), 0, 4096, os.POSIX_FADV_DONTNEED)
+                return True
+            return os.preadv(file.fileno(), [bytearray(1)], 0, os.RWF_NOWAIT) == 1
+
+
 class Nested(_Cheat):
     """Enters namespaces of its own, where it has all capabilities, and takes off what hides."""
 

@@ -43,7 +43,7 @@ OF_FILES = (
     "SeedFile", "Rows", "WritesRows", "Links", "Network", "Socket", "SharedMemory", "Terminal",
     "WritesPackage",
 )  # fmt: skip
-OF_SYSTEM = ("Devices", "Kernel", "Keys", "Keys 2", "Nested")
+OF_SYSTEM = ("Cached", "Devices", "Kernel", "Keys", "Keys 2", "Nested")
 OWN = (
     "Environment", "Scorer", "Serializers", "Clock", "Preload", "Preload 2", "Processes", "Late",
 )  # fmt: skip
@@ -245,6 +245,7 @@ GUARDS: dict[str, tuple[str, dict[str, str], tuple[str, ...]]] = {
     "devices": (CONFINE, {NO_SETTING: "add=_ATTRIBUTE_READ_ONLY"}, ("Devices", "Nested")),
     "settings of the kernel": (CONFINE, {" | _READ_ONLY)": ")"}, ("Kernel", "Nested")),
     "keys": (CONFINE, {"    _leave_keyring(libc)\n": ""}, ("Keys 2",)),
+    "page cache": (CONFINE, {"    _hide_page_cache(libc)\n": ""}, ("Cached",)),
     "environment": (
         PROCESS,
         {"env=method_environment(folder)": "env={**os.environ, 'TMPDIR': folder}"},

@@ -32,7 +32,7 @@ def load_steps(found: DriveEstimate, kp: Array) -> tuple[Array, Array]:
         least = max(lost, LEAST * float(np.sqrt(np.mean(load**2))))
         moving = np.count_nonzero(rows.features[:, j, SIGNED])
         sides = [np.count_nonzero(side * load > least) for side in (-1.0, 1.0)]
-        if least > 0.0 and min(sides) >= REVERSED * moving:
+        if least > 0.0 and moving and min(sides) >= REVERSED * moving:
             sign = rows.features[:, j, SIGNED] * np.tanh(load / least)
             values, covariance = _unbounded(found, j, sign[:, None])
             step[j], std[j] = values[-1], np.sqrt(covariance[-1, -1])

@@ -125,14 +125,21 @@ class _Judge:
 def _tested(term: str, judge: _Judge, without: Array) -> LimitTest:
     """Return the test of one limit in all joints at once: that of a joint hardly moves others."""
     values = [share * judge.scale(term) for share in SHARES[term]]
-    ratios = [judge.errors({term: value}) / without for value in values]
+    ratios = [_ratio(judge.errors({term: value}), without) for value in values]
     joints = np.arange(len(values[0]))
     first = np.argmin([(x**2).sum(axis=0) for x in ratios], axis=0)
     values += [factor * np.array(values)[first, joints] for factor in FINER]
-    ratios += [judge.errors({term: value}) / without for value in values[len(SHARES[term]) :]]
+    more = values[len(SHARES[term]) :]
+    ratios += [_ratio(judge.errors({term: value}), without) for value in more]
     each, errors = np.array(values), np.array(ratios)
     # Each half at the value that the other one chose.
     chosen = [errors[np.argmin(errors[:, 1 - half], axis=0), half, joints] for half in (0, 1)]
     value = each[np.argmin((errors**2).sum(axis=1), axis=0), joints]
     ratio = np.array(chosen)
     return LimitTest(term, value, ratio, (ratio < NEEDED).all(axis=0) & np.isfinite(value))
+
+
+def _ratio(errors: Array, without: Array) -> Array:
+    """Return errors over those without a limit; infinite where these are zero or diverge."""
+    known = np.isfinite(without) & (without > 0)
+    return np.where(known, errors / np.where(known, without, 1.0), np.inf)
