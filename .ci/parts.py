@@ -39,6 +39,7 @@ RULES: Final[tuple[tuple[str, tuple[str, ...]], ...]] = (
     ("tests/harness/", ("test", "long", "faults", "lint")),
     ("tests/signals/", ("test", "long", "faults", "lint")),
     ("tests/experiments/", ("test", "long", "lint", "bench")),
+    ("tests/simulation/", ("test", "long", "lint", "bench")),
     ("tests/other_package.py", ("test", "long", "cluster", "lint")),
     ("tests/", ("test", "long", "lint")),
     ("sysid_bench/apps/clusters/", (*_CODE, "cluster")),

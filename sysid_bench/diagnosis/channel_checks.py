@@ -206,7 +206,9 @@ def _copied_derivatives(evidence: DiagnoseInput) -> Iterator[Finding]:
         moving = (np.ptp(x, axis=0) > 0) & (np.ptp(tau, axis=0) > 0)
         # A model without inertias says nothing, and neither does a single joint then.
         blind = evidence.placeholder != "" and moving.sum() == 1
-        if not moving.any() or blind or not _is_common(x[:, moving], tau[:, moving]):
+        # Velocities have hardly any noise, and viscous friction may be alike in all joints.
+        least = LEAST if word == "accelerations" else NEAR
+        if not moving.any() or blind or not _is_common(x[:, moving], tau[:, moving], least):
             continue
         if not (_slopes(sparse[:, moving], model[:, moving])[0] > NEAR).all():
             text = f"the torques of all joints are their {word} times one factor"
@@ -215,12 +217,12 @@ def _copied_derivatives(evidence: DiagnoseInput) -> Iterator[Finding]:
             return
 
 
-def _is_common(x: Array, tau: Array) -> bool:
+def _is_common(x: Array, tau: Array, least: float) -> bool:
     """True where each column of tau (N, k), or three of four, is that of x (N, k) times the same
-    factor, but for an offset."""
+    factor, but for an offset; `least`: correlation that is asked of many joints."""
     correlation, factor = _slopes(x, tau)
     middle = float(np.median(factor))
-    least = LEAST if len(factor) >= MANY_JOINTS else NEAR
+    least = least if len(factor) >= MANY_JOINTS else NEAR
     equal = np.abs(factor - middle) < EQUAL * abs(middle)
     share = MOST_JOINTS if len(factor) >= MANY_JOINTS else 1.0
     return bool((correlation > least).all() and equal.mean() >= share)
