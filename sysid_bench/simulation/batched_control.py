@@ -44,7 +44,7 @@ class BatchedControl:
 
     @property
     def simulator(self) -> str:
-        """What simulates: "lanes", or "mujoco" with the reason."""
+        """Simulator of the candidates: "lanes", or "mujoco" with the reason."""
         return f"mujoco: {self.uncovered}" if self.uncovered else "lanes"
 
     def follow(

@@ -84,7 +84,7 @@ def run_steps(loop: CompiledRun) -> Signals:
         inputs = np.ascontiguousarray(loop.control, float)
         constant = -np.asarray(plant.terms.offset, float)
         laws = _Laws.of(plant.laws, data.qpos[: mj.nv], data.qvel, mj.dof_armature)
-        drive = _Drive.of(loop.drive, damping_at_end(mj, loop.drive))
+        drive = _Drive.of(loop.drive, damping_at_end(mj, loop.drive), torque_range(mj, loop.drive))
         rotors = np.concatenate([loop.motor_state.theta, loop.motor_state.rate])
         work = np.empty(mj.nv + 4 * mj.nu)
         count, number, reference = ctypes.c_int64, ctypes.c_double, ctypes.byref
@@ -180,18 +180,20 @@ class _Drive(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int64) for name in ("nu", "input", "elastic")),
         *((name, ctypes.c_void_p) for name in
-          ("dof", "kp", "kd", "limit", "stiffness", "damping", "gap", "inertia", "implicit")),
+          ("dof", "kp", "kd", "limit", "low", "high", "stiffness", "damping", "gap", "inertia",
+           "implicit")),
     )  # fmt: skip
 
     @classmethod
-    def of(cls, drive: Drive, implicit: Array | None) -> "_Drive":
+    def of(cls, drive: Drive, implicit: Array | None, limits: tuple[Array, Array]) -> "_Drive":
         """Addresses of a drive's arrays, which live as long as the result."""
         own, n = drive.transmission, len(drive.dofs)
         elastic = [np.zeros(n)] * 4 if own is None else [
             own.stiffness, own.damping, own.gap, own.inertia
         ]  # fmt: skip
         parts = [np.ascontiguousarray(drive.dofs, np.int64)] + [
-            np.ascontiguousarray(x, float) for x in (drive.kp, drive.kd, drive.limit, *elastic)
+            np.ascontiguousarray(x, float)
+            for x in (drive.kp, drive.kd, drive.limit, *limits, *elastic)
         ]
         addresses = [x.ctypes.data for x in parts]
         if implicit is not None:
@@ -226,7 +228,7 @@ class _Laws(ctypes.Structure):
 
 def _in_python(loop: CompiledRun, out: Signals) -> None:
     mj, data, drive = loop.mj, loop.data, loop.drive
-    implicit = damping_at_end(mj, drive)
+    implicit, limits = damping_at_end(mj, drive), torque_range(mj, drive)
     h, load, rotors = mj.opt.timestep, np.zeros(mj.nv), loop.motor_state
     laws = start_states(loop.plant.laws, data.qpos[: mj.nv], data.qvel)
     for k, now in enumerate(loop.t):
@@ -255,7 +257,7 @@ def _in_python(loop: CompiledRun, out: Signals) -> None:
                 if implicit is not None:
                     change = data.qvel - out.v[k]
                     out.a[k] = change / h
-                    out.tau[k] = end_of_step(out.tau[k], change, drive, implicit)
+                    out.tau[k] = end_of_step(out.tau[k], change, drive, implicit, limits)
                 if given is not None:
                     out.tau[k, drive.dofs] = given
                     out.motor_a[k] = (rotors.rate - before.rate) / h
@@ -272,14 +274,26 @@ def damping_at_end(mj: mujoco.MjModel, drive: Drive) -> Array | None:
     return None
 
 
-def end_of_step(tau: Array, change: Array, drive: Drive, implicit: Array) -> Array:
+def torque_range(mj: mujoco.MjModel, drive: Drive) -> tuple[Array, Array]:
+    """Return the least and the largest torque (n,) of the motors: their own limit, or that of all
+    actuators of their joint."""
+    joints = mj.dof_jntid[drive.dofs]
+    limited = mj.jnt_actfrclimited[joints].astype(bool)
+    low, high = np.where(limited, mj.jnt_actfrcrange[joints].T, [[-np.inf], [np.inf]])
+    return np.maximum(low, -drive.limit), np.minimum(high, drive.limit)
+
+
+def end_of_step(
+    tau: Array, change: Array, drive: Drive, implicit: Array, limits: tuple[Array, Array]
+) -> Array:
     """Return the torque (..., nv) that an implicit step applies, from that at its start and the
-    `change` (..., nv) of the rates over it.
+    `change` (..., nv) of the rates over it; a motor at one of its `limits` has no rate feedback.
 
     M a + h(q, v) = tau then holds for the acceleration of the step. With the torque of the start a
     robot would seem heavier by a step times its damping: 3 % on the base of a UR3 (measured).
     """
-    tau, free = tau.copy(), np.abs(tau[..., drive.dofs]) < drive.limit
+    tau, own = tau.copy(), tau[..., drive.dofs]
+    free = (own > limits[0]) & (own < limits[1])
     if drive.input != "held":
         tau[..., drive.dofs] -= np.where(free, drive.kd * change[..., drive.dofs], 0.0)
     return np.asarray(tau - implicit * change)

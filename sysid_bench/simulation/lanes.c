@@ -86,7 +86,7 @@ typedef struct {
 typedef struct {
     const V *inertia;                                            /* (joints, 10) */
     const V *armature, *viscous, *coulomb, *spring, *offset;     /* (nv) */
-    const V *kp, *kd, *limit, *low, *high;                       /* (nu); low, high: of the joint */
+    const V *kp, *kd, *limit, *low, *high; /* (nu); low, high: of the joint, too */
     const V *stiffness, *damping, *gap, *rotor;                  /* (nu), of elastic joints */
     const V *law;                                                /* numbers of all laws, in order */
     V *states;                                                   /* of all laws, in order */
@@ -761,11 +761,11 @@ static void drive(const Tree *t, Group *g, double h)
             turn_rotor(t, g, k, h);
             continue;
         }
-        V limit = g->limit[k], force = g->held[k];
+        V force = g->held[k];
         if (t->input != HELD) {
             force = feedback(g, k, g->now[k], g->q[t->motor_place[k]], g->v[dof]);
             /* A motor at its limit, or that of its joint, has no rate feedback. */
-            I free = (size_of(force) < limit) & (force > g->low[k]) & (force < g->high[k]);
+            I free = (force > g->low[k]) & (force < g->high[k]);
             if (t->at_end == ALL_DAMPERS)
                 g->dampers[dof] += pick(free, h * g->kd[k], all(0.0));
         }
@@ -848,7 +848,7 @@ static V torque_at_end(const Tree *t, const Group *g, int64_t k, int64_t dof, V 
 {
     V tau = g->motors[dof];
     if (k >= 0 && t->input != HELD) {
-        I free = size_of(tau) < g->limit[k];
+        I free = (tau > g->low[k]) & (tau < g->high[k]);
         tau -= pick(free, g->kd[k] * change, all(0.0));
     }
     return tau - g->viscous[dof] * change;

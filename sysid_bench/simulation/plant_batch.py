@@ -17,7 +17,7 @@ import numpy as np
 from sysid_bench.errors import EstimationError
 from sysid_bench.instruction_sets import LEVELS, levelled_library
 from sysid_bench.models.tree import BALL, FREE, Tree, TreeJoint
-from sysid_bench.simulation.compiled_steps import INPUTS, KINDS, Signals
+from sysid_bench.simulation.compiled_steps import INPUTS, KINDS, Signals, torque_range
 from sysid_bench.simulation.elastic_drives import Drive
 from sysid_bench.simulation.plant import Plant, set_inertia, start_states
 from sysid_bench.spatial import inertia_transform
@@ -26,8 +26,8 @@ from sysid_bench.types import Array
 SOURCE: Final = Path(__file__).with_name("lanes.c")
 
 EXPLICIT, DAMPERS, ALL_DAMPERS = range(3)
-"""What an integrator takes at the end of a step: nothing, dampers of joints, or these and the rate
-feedback of motors; the codes of lanes.c."""
+"""Rates that an integrator takes at the end of a step: none, those of dampers of joints, or of
+these and of the feedback of motors; the codes of lanes.c."""
 
 _DISABLED: Final = ("SPRING", "DAMPER", "FRICTIONLOSS", "CONSTRAINT", "ACTUATION", "REFSAFE")
 """Parts of a step that a model may switch off, and lanes.c does not."""
@@ -127,7 +127,7 @@ class PlantBatch:
 
     @cached_property
     def _tree(self) -> "_Tree":
-        """What the plants share."""
+        """C struct of the tree, motors and options that all plants share."""
         mj, drive, laws = self.mj, self.drive, self.plants[0].laws
         frames = frames_of(self.plants[0].robot.tree)
         joints = frames.joints
@@ -190,10 +190,7 @@ class PlantBatch:
                 for name, values in zip(names[:-1], terms, strict=False):
                     values[k, robot.scalar_dofs] = getattr(plant.terms, name)[robot.scalar_dofs]
         terms[:3] = [np.maximum(x, 0.0) for x in terms[:3]]  # as `_not_negative`
-        joints = mj.dof_jntid[drive.dofs]
-        limited = mj.jnt_actfrclimited[joints].astype(bool)
-        low, high = np.where(limited, mj.jnt_actfrcrange[joints].T, [[-np.inf], [np.inf]])
-        motors = [drive.kp, drive.kd, drive.limit, low, high]
+        motors = [drive.kp, drive.kd, drive.limit, *torque_range(mj, drive)]
         if drive.transmission is not None:
             x = drive.transmission
             motors += [x.stiffness, x.damping, x.gap, x.inertia]

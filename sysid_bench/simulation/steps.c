@@ -38,7 +38,9 @@ typedef struct {
 typedef struct {
     int64_t nu, input, elastic;
     const int64_t *dof;
-    const double *kp, *kd, *limit, *stiffness, *damping, *gap, *inertia;
+    const double *kp, *kd, *limit;
+    const double *low, *high; /* torques of a motor within the limits of its joint, too */
+    const double *stiffness, *damping, *gap, *inertia;
     const double *implicit; /* damping (nv) of an implicit integrator, NULL of an explicit one */
 } Drive;
 
@@ -251,7 +253,7 @@ static void use_end_of_step(const Drive *d, double h, const State *s, const doub
 {
     for (int64_t j = 0; j < d->nu; j++) {
         int64_t i = d->dof[j];
-        if (d->input != HELD && fabs(tau[i]) < d->limit[j])
+        if (d->input != HELD && tau[i] > d->low[j] && tau[i] < d->high[j])
             tau[i] -= d->kd[j] * (s->qvel[i] - v[i]);
     }
     for (int64_t i = 0; i < s->nv; i++) {

@@ -9,13 +9,14 @@ import pytest
 
 from sysid_bench.instruction_sets import LEVELS, usable_levels
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation import plant_batch
+from sysid_bench.regressors.kernel_numpy import newton_euler
+from sysid_bench.simulation import compiled_steps, plant_batch
 from sysid_bench.simulation.compiled_steps import CompiledRun, Signals, run_steps
 from sysid_bench.simulation.elastic_drives import Drive
 from sysid_bench.simulation.plant import Plant, plant_of
 from sysid_bench.simulation.plant_batch import PlantBatch, lanes_library, uncovered
 from sysid_bench.simulation.tracking_model import STIFF_FRICTION
-from sysid_bench.types import Array
+from sysid_bench.types import Array, Trajectory
 from tests.robots import named_robot, random_robot, urdf_files, urdf_robot
 
 INTEGRATORS = ("euler", "euler with dampers", "implicitfast")
@@ -112,7 +113,7 @@ def gap(batch: PlantBatch, integrator: str, count: int = 2) -> tuple[float, floa
             for name in ("a", "tau")
             if np.abs(getattr(theirs, name)).max() > 0
         ]
-        worst = np.maximum(worst, [np.abs(ours.q[k] - theirs.q).max(), *others[:1]])
+        worst = np.maximum(worst, [np.abs(ours.q[k] - theirs.q).max(), max(others, default=0.0)])
     return float(worst[0]), float(worst[1])
 
 
@@ -153,6 +154,45 @@ QUICK = ("panda", "scara", "ur5", "solo12", "dvrk_mtm", "baxter")
 @pytest.mark.parametrize("name", QUICK)
 def test_positions_are_those_of_mujoco(name: str, integrator: str) -> None:
     check(named_robot(name), integrator, 0.5)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("name", ["panda", "scara", "solo12", "baxter"])
+def test_accelerations_and_torques_are_those_of_mujoco(name: str, integrator: str) -> None:
+    robot = named_robot(name)
+    batch = batch_of(variants(robot, 2, coulomb=np.zeros(robot.nv)), integrator, 0.5)
+    assert gap(batch, integrator)[1] <= 1e-10
+
+
+@pytest.mark.parametrize("share", [(-0.3, 0.3), (-0.2, 0.5), (-2.0, 2.0)], ids=str)
+@pytest.mark.parametrize("steps", ["lanes", "compiled", "python"])
+def test_recorded_torques_obey_the_equation_of_motion_at_the_limits_of_joints(
+    steps: str, share: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A motor at the limit of its joint has no rate feedback, whatever its own limit is."""
+    robot = named_robot("ur5")
+    plant = plant_of(robot)
+    plant = replace(plant, terms=replace(plant.terms, coulomb=np.zeros(robot.nv)))
+    batch = batch_of([plant], "implicitfast", 0.5)
+    largest = np.abs(batch.run().tau[0]).max(axis=0)
+    batch.mj.jnt_actfrclimited[:], batch.mj.jnt_actfrcrange[:] = 1, np.outer(largest, share)
+    if steps == "lanes":
+        found = batch.run()
+        q, v, a, tau = (x[0] for x in (found.q, found.v, found.a, found.tau))
+    else:
+        if steps == "python":
+            monkeypatch.setattr(compiled_steps, "steps_library", lambda: "switched off")
+        data = mujoco.MjData(batch.mj)
+        data.qpos[:], data.qvel[:] = batch.q[0], batch.v[0]
+        run = CompiledRun(plant, batch.mj, data, batch.drive, batch.t, batch.control, batch.each)
+        one = run_steps(run)
+        q, v, a, tau = one.q, one.v, one.a, one.tau
+    phi = robot.tree.link_parameters(robot.phi)
+    needed = newton_euler(robot.tree, phi, Trajectory(batch.t, q, v, a))
+    needed += robot.joint_terms.armature * a + plant.terms.viscous * v
+    assert np.abs(needed - tau).max() <= 1e-11 * np.abs(tau).max()
+    at_limit = (tau >= 0.999 * share[1] * largest) | (tau <= 0.999 * share[0] * largest)
+    assert at_limit.any() == (share[1] < 1.0)
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
