@@ -16,8 +16,8 @@ from sysid_bench.signals.log_description import description_of
 
 pytestmark = pytest.mark.usefixtures("data_folder")
 
-PARTS = 14
-"""Of the mistakes in each recording one in fourteen, of all recordings each: a minute."""
+PARTS = 7
+"""Of the mistakes in each recording one in seven, of all recordings each: a minute."""
 
 
 @cache
@@ -42,9 +42,9 @@ def test_the_right_cause_is_named_first() -> None:
     harmful = [case for case in planted() if case.is_harmful and "pendulum_c" not in case.recording]
     decidable = [case for case in harmful if not case.undecidable]
     missed = "\n".join(line(case) for case in decidable if not case.named)
-    assert len(decidable) > 25
+    assert len(decidable) > 50
     assert len(decidable) >= 0.85 * len(harmful)
-    assert np.mean([case.named for case in decidable]) >= 0.85, missed  # measured: 23 of 26
+    assert np.mean([case.named for case in decidable]) >= 0.85, missed
 
 
 @pytest.mark.long
