@@ -52,7 +52,7 @@ class Recorded:
 
     @property
     def commands(self) -> Commands:
-        """What acts on the joints at the gain that was found."""
+        """Values of the joints at the gain that was found."""
         assert self.log.commands is not None
         gain = {k: x for k, x in self.found.drives.more.items() if k == "gain"}
         return replace(self.found.drives, more=gain).apply(self.log.commands)

@@ -1,12 +1,11 @@
 """`identify --task actuators` on recorded legs: errors of the rollout stay below published ones."""
 
-import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import sysid_bench
+from reports.make.actuators_ranges import leg_log
 from sysid_bench.apps.actuators.commands.actuators_result import CONFOUNDED, ActuatorsResult
 
 TARGETS = {
@@ -23,16 +22,7 @@ TARGETS = {
 )
 def test_recorded_legs(data_folder: Path, tmp_path: Path, robot: str, run: int) -> None:
     data = data_folder / robot
-    with np.load(data / f"run_{run}.npz") as recorded:
-        joints, kp, kd = (recorded[name].tolist() for name in ("joints", "kp", "kd"))
-    file = tmp_path / "run.toml"
-    file.write_text(
-        f'file = {json.dumps(str(data / f"run_{run}.npz"))}\nrate = "200 Hz"\n'
-        f"joints = {json.dumps(joints)}\n"
-        'q = { columns = "q", unit = "rad" }\nv = { columns = "v", unit = "rad/s" }\n'
-        f'tau = {{ pd = {{ q_des = "q_des", kp = {kp}, kd = {kd}, delay = "profile" }} }}\n',
-        encoding="utf-8",
-    )
+    file = leg_log(data, tmp_path, run)
     result = sysid_bench.identify(data / f"{robot}.xml", task="actuators", log=file)
     assert isinstance(result, ActuatorsResult)
     assert result.rollout_error is not None

@@ -274,7 +274,7 @@ def test_a_torque_of_friction_is_noted_and_one_of_nothing_is_a_doubt(
 
 @pytest.mark.parametrize("joint", [2, 4])
 def test_a_torque_that_the_model_makes_worse_is_a_doubt(tmp_path: Path, joint: int) -> None:
-    """What the other torques say of the links gives this one the wrong sign, and its own columns
+    """The bodies that the other torques identify give this one the wrong sign, and its own columns
     explain it."""
     log, robot = log_of("ur5"), named_robot("ur5")
     tau = _scaled(log.tau.copy(), joint, -1.0)

@@ -62,8 +62,8 @@ def test_intact_torques_have_no_gains_of_their_own(tmp_path: Path, name: str) ->
     """The model file's masses are off by a third in turn."""
     log, robot = log_of(name), named_robot(name)
     factors = np.where(np.arange(len(robot.phi)) % 2, 1.33, 0.75)
-    told = replace(robot, phi=robot.phi * factors[:, None])
-    assert not list(joint_gains(first_hypothesis(evidence(tmp_path, log, told))))
+    scaled = replace(robot, phi=robot.phi * factors[:, None])
+    assert not list(joint_gains(first_hypothesis(evidence(tmp_path, log, scaled))))
 
 
 @pytest.mark.parametrize(
@@ -164,8 +164,8 @@ def test_currents_of_joints_that_follow_the_model_are_named(
     constants = np.exp(rng.uniform(np.log(5), np.log(50), len(robot.rows)))
     constants *= np.where(signed & (np.arange(len(constants)) % 2 == 1), -1.0, 1.0)
     factors = np.where(np.arange(len(robot.phi)) % 2, 1.2, 0.8)
-    told = replace(robot, phi=robot.phi * factors[:, None])
-    first = contradictions(evidence(tmp_path, replace(log, tau=log.tau / constants), told))[0]
+    scaled = replace(robot, phi=robot.phi * factors[:, None])
+    first = contradictions(evidence(tmp_path, replace(log, tau=log.tau / constants), scaled))[0]
     assert (first.name, first.is_error) == ("current", True)
     for text in (first.message, first.edit):
         assert "current" in text

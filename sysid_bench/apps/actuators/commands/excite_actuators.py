@@ -321,7 +321,7 @@ def _gains(
     request: CommandsRequest, robot: RobotModel, joints: Sequence[str], tau: Array
 ) -> tuple[dict[str, Array], bool]:
     """Return kp and kd (k,) of a request, else of the model's position actuators, else assumed
-    ones, which is told."""
+    ones, which the answer states."""
     if request.gains:
         if absent := set(GAINS) - set(request.gains):
             raise UsageError(f"--gain needs kp and kd; {' and '.join(absent)} is missing.")
