@@ -45,7 +45,7 @@ def gravity_direction(before: Hypothesis) -> Iterator[Candidate]:
             across *= size / max(float(np.linalg.norm(across)), 1e-9)
             there = declared * np.cos(np.radians(by)) + across * np.sin(np.radians(by))
             there = g if by == angle else there  # towards g and beyond
-            return before.with_columns(inertial + np.tensordot(there, axes, axes=1))
+            return before.with_gravity(inertial + np.tensordot(there, axes, axes=1))
 
         if angle > ANGLE:
             yield Candidate(
