@@ -299,7 +299,7 @@ class DiagnoseInput:
         """Directions (p, r) of the scaled link columns that any motion can show."""
         states = random_states(self.robot, STATES, np.random.default_rng(0))
         W = self._link_columns(self._regression, states)
-        return near.independent_directions(W * self.link_std)
+        return near.independent_directions(W * self.link_std, self._touched)
 
     @cached_property
     def _regression(self) -> AnyRegression:
@@ -331,7 +331,7 @@ class DiagnoseInput:
         T = np.repeat(self.fit_samples[1][:, None], self.count, axis=1)
         T = T if more is None else np.concatenate([T, more], axis=2)
         std = self.link_std * spread
-        basis = self._directions if is_own else near.independent_directions(W * std)
+        basis = self._directions if is_own else near.independent_directions(W * std, self._touched)
         if np.ndim(spread):
             basis = np.linalg.qr(basis * np.asarray(spread)[:, None])[0]
         known, seconds = self.file_parameters.ravel(), len(self.log.recording) / self.rate

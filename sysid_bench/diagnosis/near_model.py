@@ -6,7 +6,7 @@ gravity, to which a free fit is blind, remain in the residual of this one.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -111,6 +111,7 @@ class NearModel:
     known: Array  # (p,) of the file
     holding: Array  # (n,) torques that the drives are built to hold; infinite where none is known
     parts: float = PARTS
+    is_limb: bool = False
     _held: dict[tuple[int, int], tuple[Array, Array]] = field(default_factory=dict)
     _fits: dict[bytes, NearModelFit] = field(default_factory=dict)
 
@@ -159,7 +160,33 @@ class NearModel:
             self._fits[key] = self._fit(mixing)
         return self._fits[key]
 
+    @cached_property
+    def _limbs(self) -> list[tuple[Array, "NearModel"]]:
+        """Limbs with their joints, where there are several: their fits are independent."""
+        r, P = self.rank, self.products
+        touched = np.diagonal(P, axis1=1, axis2=2)[:, :r] > 0
+        limbs = [] if self.is_limb else connected(touched)
+        used = [np.append(touched[own].any(axis=0), [True] * (len(P[0]) - r)) for own in limbs]
+        return [
+            (own, replace(
+                self, products=P[own][:, some][:, :, some], basis=self.basis[:, some[:r]],
+                holding=self.holding[own], is_limb=True, _held={}, _fits={},
+            ))
+            for own, some in zip(limbs, used, strict=True)
+            if len(limbs) > 1
+        ]  # fmt: skip
+
     def _fit(self, mixing: Array) -> NearModelFit:
+        if self._limbs:
+            parts = [(own, limb.fit(mixing[:, own])) for own, limb in self._limbs]
+            residual, terms = np.zeros(len(mixing[0])), np.zeros((len(mixing[0]), len(TERMS)))
+            for own, fit in parts:
+                residual[own], terms[own] = fit.residual, fit.terms
+            links = self.known + sum(fit.links - self.known for _, fit in parts)
+            cost, score = (
+                sum(part) for part in zip(*((f.cost, f.score) for _, f in parts), strict=True)
+            )
+            return NearModelFit(cost, score, residual, links, terms)
         n, scale = len(self.products), self.torque_scale(mixing)
         sides = np.concatenate([-np.ones((1, n)), mixing]).T  # of the torque less that of the file
         weight = np.ones(n)
@@ -233,13 +260,31 @@ def _weights(square: Array) -> Array:
     return np.asarray(FLOOR**2 / (FLOOR**2 + square))
 
 
-def independent_directions(W: Array) -> Array:
+def connected(touched: Array) -> list[Array]:
+    """Joints of each limb, from what each joint touches (n, p): legs on a base at rest, or fingers,
+    have no link in common."""
+    together = touched.astype(float) @ touched.T > 0
+    for _ in touched:
+        together = together @ together
+    return [np.flatnonzero(row) for row in np.unique(together, axis=0)]
+
+
+def independent_directions(W: Array, links: Sequence[Array]) -> Array:
     """Orthonormal directions (p, r) of the columns W (N, n, p) that have an effect on a torque,
-    those of each joint by its own size: the prior alone decides the others."""
+    those of each joint by its own size, limb by limb: the prior alone decides the others. `links`:
+    for each joint the columns that are not zero."""
     power = (W**2).sum(axis=(0, 2))
-    A = (W / np.sqrt(np.where(power > 0, power, 1.0))[:, None]).reshape(-1, W.shape[2])
-    values, vectors = np.linalg.eigh(A.T @ A)
-    return np.asarray(vectors[:, values > 1e-12 * max(float(values[-1]), 1e-300)])
+    W = W / np.sqrt(np.where(power > 0, power, 1.0))[:, None]
+    touched = np.stack([np.isin(np.arange(W.shape[2]), own) for own in links])
+    found = []
+    for joints in connected(touched):
+        own = np.flatnonzero(touched[joints].any(axis=0))
+        A = W[:, joints][:, :, own].reshape(-1, len(own))
+        values, vectors = np.linalg.eigh(A.T @ A)
+        kept = values > 1e-12 * max(float(values.max(initial=0.0)), 1e-300)
+        found.append(np.zeros((W.shape[2], int(kept.sum()))))
+        found[-1][own] = vectors[:, kept]
+    return np.concatenate(found, axis=1)
 
 
 def near_model(
