@@ -1,4 +1,4 @@
-# make smoke | test | long | changed | nightly | environments | processors | tutorials | faults | cluster | side-by-side | fuzz | gate | wild | reference | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | changed | nightly | environments | processors | tutorials | faults | cluster | side-by-side | fuzz | gate | wild | reference | reference-check | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -17,7 +17,7 @@ TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 
 GATED := smoke terminal agnostic
 
-.PHONY: changed nightly nightly-versions nightly-extras environments wheel smoke test long processors tutorials faults cluster side-by-side fuzz gate gate-models wild reference lint bench docs clean install
+.PHONY: changed nightly nightly-versions nightly-extras environments wheel smoke test long processors tutorials faults cluster side-by-side fuzz gate gate-models wild reference reference-check lint bench docs clean install
 
 install: $(STAMP)
 
@@ -124,6 +124,10 @@ wild: $(STAMP)
 reference: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m reports.make.reference_reports $(OPTIONS) $(REPORTS)
 
+# Texts, origins, numbers in sentences and later changes of reports/reference; `OPTIONS=--declare` writes what changed.
+reference-check: $(STAMP)
+	$(BIN)/python -m reports.make.reference_check $(OPTIONS)
+
 lint: $(STAMP)
 	$(BIN)/ruff check sysid_bench tests docs reports/make .ci
 	$(BIN)/ruff format --check sysid_bench tests docs reports/make .ci
@@ -143,7 +147,7 @@ $(DOCS_STAMP): $(STAMP)
 
 # What .ci/run does after the tests, two parts at a time, since faults and clusters mostly wait. All is installed before.
 side-by-side: $(CLUSTER_STAMP) $(DOCS_STAMP)
-	$(MAKE) -j 2 --output-sync=target faults cluster gate docs lint
+	$(MAKE) -j 2 --output-sync=target faults cluster gate docs lint reference-check
 
 clean:
 	find .cmake -mindepth 1 ! -name CMakeLists.txt ! -name .gitignore -delete

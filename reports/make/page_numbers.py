@@ -98,13 +98,13 @@ def _difference(number: str, address: str, cells: Sequence[Cell], printed: str) 
     """Why a bound number does not stand; "" where it does."""
     if address.startswith("text "):
         words = address.removeprefix("text ")
-        after = [rest for rest in printed.split(words)[1:]]
+        after = printed.split(words)[1:]
         values = [re.findall(_NUMBER, rest)[:1] for rest in after]
         if len(after) != 1:
             return f"these words are printed {len(after)} times"
         return "" if _is(number, values[0]) else f"{values[0]} is printed there"
-    words = [word.strip() for word in address.split("|")]
-    fit = [cell for cell in cells if cell.has(words)]
+    place = [word.strip() for word in address.split("|")]
+    fit = [cell for cell in cells if cell.has(place)]
     if len(fit) != 1:
         return f"{len(fit)} cells have these words"
     return "" if _is(number, fit[0].numbers) else f"the cell is '{fit[0].text}'"

@@ -22,7 +22,7 @@ ROOT: Final = Path(__file__).parents[2]
 _PRINTING: Final = ("table", "claims", "figure", "report", "limits", "cells")
 """Verbs that print rows of a run, whose own part of the page states where the rows come from."""
 _PRINTED_BY: Final = {"evaluation", "reporting", "metrics"}
-_ROWS: Final = ("sysid_bench.experiments.execute", "sysid_bench.harness.suite.load_suite")
+_ROWS: Final = "sysid_bench.experiments.execute"  # the plan has a hash of its own in kept rows
 _NO_SCORES: Final = {
     *("canonical_json", "errors", "extras", "package_folders", "plugin_names", "types"),
     *("version_fields", "words"),
@@ -43,19 +43,26 @@ def sources(command: str, root: Path = ROOT) -> dict[str, str]:
     verb, *rest = words
     if verb == "run":
         suite = f"suites/{rest[0].removeprefix('suites/').removesuffix('.toml')}.toml"
-        names = _strings(_toml(root / suite))
+        content = _toml(root / suite)
+        names = _strings(content)
         used = sorted({_NAMES[name] for name in names if name in _NAMES})
-        return _code((*_ROWS, *used), root) | _data(root, (suite, *_robots(names, root)))
+        return _code((_ROWS, *used), root) | _data(
+            root, (suite, *_robots(names, _strings((content or {}).get("log")), root))
+        )
     found = find_verb(verb)
     code = _code((found.target.partition(":")[0],) if found else (), root)
     if verb in _PRINTING:
         return {room: digest for room, digest in code.items() if room in _PRINTED_BY}
-    return code | _data(root, _robots(rest, root))
+    return code | _data(root, _robots(rest, rest, root))
 
 
 def changed(before: Mapping[str, str], now: Mapping[str, str]) -> set[str]:
-    """What is new, absent or different."""
-    return {name for name in before.keys() | now.keys() if before.get(name) != now.get(name)}
+    """What is new or different, folders of robots and files of data sets as one; what is absent
+    where nothing else is."""
+    found = {name for name, digest in now.items() if before.get(name) != digest}
+    return {name if name.startswith("suites/") else name.split("/")[0] for name in found} or {
+        name for name in before if name not in now
+    }
 
 
 @functools.cache
@@ -140,14 +147,13 @@ def _strings(value: Any) -> set[str]:
     if isinstance(value, str):
         return {value}
     items = value.values() if isinstance(value, dict) else value
-    return set().union(*map(_strings, items)) if isinstance(value, dict | list) else set()
+    return set().union(*map(_strings, items)) if isinstance(items, Iterable) else set()
 
 
-def _robots(names: Iterable[str], root: Path) -> list[str]:
+def _robots(names: Iterable[str], data_sets: Iterable[str], root: Path) -> list[str]:
     """Folders of robots and descriptions of data sets with one of these names."""
-    plain = [name for name in names if re.fullmatch(r"[\w-]+", name)]
-    found = [place.format(name) for place in ("robots/{}", "data/datasets/{}.toml") for name in plain]
-    return sorted(place for place in found if (root / place).exists())
+    found = [f"robots/{name}" for name in names] + [f"data/datasets/{n}.toml" for n in data_sets]
+    return sorted(p for p in found if re.fullmatch(r"[\w/.-]+", p) and (root / p).exists())
 
 
 def _data(root: Path, paths: Iterable[str]) -> dict[str, str]:

@@ -24,7 +24,9 @@ from sysid_bench.canonical_json import canonical_hash
 PAGES: Final = Path(__file__).parents[1] / "reference"
 MADE: Final = "made.json"
 LATER: Final = "Code or data behind this page changed after it was made: "
-_LATER_LINE: Final = re.compile(rf"^{LATER}(.*?)\. `make reference [^`]*` makes it again\.\n\n", re.M)
+_LATER_LINE: Final = re.compile(
+    rf"^{LATER}(.*?)\. `make reference [^`]*` makes it again\.\n\n", re.M
+)
 NOT_AGAIN: Final = "Not made again since commit"
 """Begins the text of a part that is older than its suite, and says why."""
 TYPED: Final = re.compile(r"Its figures are of commit [0-9a-f]{7,40} and are checked by no command")
@@ -86,7 +88,7 @@ def declared(text: str) -> set[str]:
 
 
 def with_declaration(name: str, text: str, later: set[str]) -> str:
-    """The page with the sentence on later changes below its title, without it where there are none."""
+    """The page with the sentence on later changes below its title, where there are any."""
     text = _LATER_LINE.sub("", text)
     if not later:
         return text
@@ -138,7 +140,9 @@ def _of_part(entry: Made, part: str) -> list[str]:
 def main(declare: bool) -> None:
     """Check all pages of reports/reference."""
     made = load()
-    found = [f"{page}.md: is in {MADE} alone" for page in made if not (PAGES / f"{page}.md").is_file()]
+    found = [
+        f"{page}.md: is in {MADE} alone" for page in made if not (PAGES / f"{page}.md").is_file()
+    ]
     for page in sorted(PAGES.glob("*.md")):
         text = page.read_text(encoding="utf-8")
         entries = made.get(page.stem, [])
