@@ -18,7 +18,8 @@ def test_filter_steps(compare: Compare, line: Line) -> None:
     if isinstance(lanes_library(), str) or filters_library() is None:
         pytest.skip("nothing is compiled")
     made = ready(
-        robot=SMOOTH, rate=500.0, simulation={"use": "closed-loop", "rate": "1 kHz"}, noise={"q": 2e-6, "tau_relative": 0.02},
+        robot=SMOOTH, rate=500.0, simulation={"use": "closed-loop", "rate": "1 kHz"},
+        noise={"q": 2e-6, "tau_relative": 0.02},
         excitation={"use": "fourier", "period": "2 s", "cycles": 1},
         signals={"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"},
     )  # fmt: skip
