@@ -90,32 +90,11 @@ class AccelerationModel:
 
     def _needed(self, beta: Array, q: Array, v: Array) -> Array:
         """Torques (S, n + 1, n) of zero and unit accelerations, each state with its own beta."""
-        S, n = q.shape
-        # Most sigma points of a filter differ in beta alone: their regressor is the first one's.
-        same = (q == q[0]).all(axis=1) & (v == v[0]).all(axis=1)
-        same[0] = False
-        first, rest = np.flatnonzero(same), np.flatnonzero(~same)
-        Y, known = self._regressor(q[rest], v[rest], bool(len(first)))
-        needed = (Y @ beta[rest, None, :, None])[..., 0] + known
-        if not len(first):
-            return np.asarray(needed)
-        every = np.empty((S, n + 1, n))
-        every[rest] = needed
-        every[first] = (Y[0] @ beta[first, None, :, None])[..., 0] + known[0]
-        return every
-
-    def _regressor(self, q: Array, v: Array, keep: bool) -> tuple[Array, Array]:
-        """Base regressor (S, n + 1, n, r) and known torque (S, n + 1, n) of states at zero and unit
-        accelerations; those of the first state may be kept, for the process noise at the mean."""
-        kept = vars(self).get("kept")
-        if kept is not None and len(q) == 1 and np.array_equal(kept[0], [q[0], v[0]]):
-            return kept[1], kept[2]
-        n, motion = q.shape[1], unit_acceleration(q, v)
-        Y = regressor_of(self.experiment, motion).reshape(len(q), n + 1, n, -1)
-        known = self.experiment.known(motion).reshape(-1, n + 1, n)
-        if keep:
-            vars(self)["kept"] = np.array([q[0], v[0]]), Y[:1], known[:1]
-        return Y, known
+        motion, shape = unit_acceleration(q, v), (len(q), q.shape[1] + 1, q.shape[1])
+        Y = regressor_of(self.experiment, motion).reshape(*shape, -1)
+        return np.asarray((Y @ beta[:, None, :, None])[..., 0]) + self.experiment.known(
+            motion
+        ).reshape(shape)
 
     def torque(self, beta: Array, motion: Trajectory) -> Array:
         """Inverse dynamics (S, n) of one beta (r,) along a motion."""
