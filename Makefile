@@ -22,7 +22,8 @@ GATED := smoke terminal agnostic
 install: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt .cmake/CMakeLists.txt sysid_bench/regressors/kernel.c \
-		sysid_bench/simulation/steps.c sysid_bench/simulation/lanes.c
+		sysid_bench/simulation/steps.c sysid_bench/simulation/lanes.c \
+		sysid_bench/identification/simulation_based/filters.c
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -c constraints.txt -e ".[dev]"
 	touch $@
