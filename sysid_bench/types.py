@@ -276,9 +276,10 @@ class Experiment:
     Recording with exact v and a; it raises UnsupportedError without a declared controller.
     `known(motion)` is the torque (n, rows) of the known parameters. `runs` are all recordings in
     time order where the suite has some without the payload; `recording` is then the first loaded
-    one. `filter_rows(x)` processes values x (N, rows, ...) at the samples of `recording` as the
-    pipeline has processed W and b of `problem`. `moving`: on recordings of a real robot, the
-    samples of `recording` at which each joint moves.
+    one. `forward` makes compiled steps of the model that `regress` and `known` describe (None:
+    there are none). `filter_rows(x)` processes values x (N, rows, ...) at the samples of
+    `recording` as the pipeline has processed W and b of `problem`. `moving`: on recordings of a
+    real robot, the samples of `recording` at which each joint moves.
     """
 
     problem: Problem
@@ -290,6 +291,7 @@ class Experiment:
     runs: tuple[Run, ...] = ()
     filter_rows: Callable[[Array], Array] = field(default=_unchanged, repr=False)
     moving: Array | None = None  # (N, rows)
+    forward: Any = field(default=None, repr=False)
 
 
 EstimateStatus = Literal["ok", "failed", "unsupported"]

@@ -224,8 +224,9 @@ def _ratio_table(ratios: "Sequence[MetricRatio]") -> "TextTable":
     note = (
         "Ratio: median over robots of the mean log ratio of their cells. Lower, higher: robots. p: "
         "Wilcoxon's signed-rank test over robots, with the smallest p that so many robots allow. "
-        f"Verdict: equivalent within {MARGIN:.0%}; none without an interval (fewer than six "
-        "robots). Left out: cells with a value that is zero, rounding or absent."
+        f"Verdict: of a margin of {MARGIN:.0%}, from p-values that are corrected over "
+        "all of this table; none without an interval (fewer than six robots). Left out: cells with "
+        "a value that is zero, rounding or absent."
     )
     return TextTable(
         "metrics", "Metrics after over before", tuple(map(with_level, _HEAD)), rows, (note,)

@@ -32,7 +32,12 @@ from sysid_bench.reporting.build_table import build_table, table_fields
 from sysid_bench.reporting.figures import figure, svg_element
 from sysid_bench.reporting.html import RunView, write_report
 from sysid_bench.reporting.latex import Origin, macro_text, suite_macro_text, to_latex
-from sysid_bench.reporting.ranking import Ranking, entry_with_cells, rank_cells
+from sysid_bench.reporting.ranking import (
+    Ranking,
+    correct_together,
+    entry_with_cells,
+    rank_cells,
+)
 from sysid_bench.reporting.ranking_figures import profile
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.report_data import JOINT_SCORES
@@ -209,7 +214,7 @@ def _rankings(run: RunFolder, frames: Frames) -> tuple[Ranking, ...]:
         with _incomplete_run(run, frames):
             known = entry_with_cells(entry.model_dump(exclude_none=True), cells)
             found += rank_cells(cells, known, row_selection(run), suite.metrics)
-    return tuple(found)
+    return correct_together(found)
 
 
 @contextmanager

@@ -9,8 +9,10 @@ Student's t of a new   mean and scatter of n       one of n values against the o
 value                  values                      (`left_out_held`), actuators of a new file
 jackknife              parts left out, each once   motions, blocks of time, masses of payloads
 chi-squared            loss over its smallest      delay of commands
-percentile bootstrap   robots drawn again          rankings, claims, ratios of two runs (`ROBOTS`),
-                                                   twins and transfer (`ROBOT_TYPES`)
+order statistics       the k-th smallest and       medians over robots: rankings, claims, ratios of
+                       largest of n values         two runs; coverage is exact (`median_ranks`)
+percentile bootstrap   robots drawn again          ranks, mean coverages (`ROBOTS`), twins and
+                                                   transfer (`ROBOT_TYPES`)
 percentile bootstrap   repeats drawn again         bias, spread, efficiency (`REPEATS`), statistics
                                                    of the entries of a table (`TABLE_REPEATS`)
 Clopper and Pearson    hits of n                   shares: claims, worst coverage
@@ -22,6 +24,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
+from math import comb
 from typing import Final
 
 import numpy as np
@@ -231,10 +234,28 @@ def percentile_interval(drawn: Array) -> tuple[Array, Array]:
     return low, high
 
 
+def median_ranks(count: int) -> tuple[int, float] | None:
+    """Return the largest k for which the interval from the k-th smallest to the k-th largest of
+    `count` values holds the median of their population at the level, and how often it does;
+    None where there is none, or too few robots.
+
+    It misses the median where fewer than k values lie on one side of it: 2 P(B < k), B binomial
+    with one half, whatever the distribution (Thompson 1936). With ties it holds it more often.
+    """
+    below, missed, found = tails()[0], 0.0, None
+    for k in range(1, count // 2 + 1):
+        missed += comb(count, k - 1) / 2**count
+        if missed > below:
+            break
+        found = (k, 1.0 - 2.0 * missed)
+    return found if count >= ROBOTS.fewest else None
+
+
 def median_interval(values: Array) -> tuple[float, float] | None:
-    """Return the bootstrap interval of the median of values (robots,); None for too few robots."""
-    if len(values) < ROBOTS.fewest:
+    """Return the interval of the median of values (robots,) from its order statistics; None for
+    too few robots."""
+    # The percentile bootstrap of a median covers 91 % instead of 95 % for 8 and 13 robots.
+    if (found := median_ranks(len(values))) is None:
         return None
-    medians = np.median(values[ROBOTS.indices(len(values))], axis=1)
-    low, high = percentile_interval(medians)
-    return float(low), float(high)
+    ordered = np.sort(values)
+    return float(ordered[found[0] - 1]), float(ordered[-found[0]])

@@ -1,14 +1,16 @@
 """Statistics over robots: comparison of methods, and verdicts on published claims.
 
-The unit of replication is the robot (or what a claim counts in its place). Robots are drawn again;
-below `ROBOTS.fewest` of them there is no interval, and a claim is open. Each figure of a method
-depends on its own errors and those of the reference alone, so that entering another method changes
-none of them; each figure of a claim on the rows that the claim selects alone. Shares have the
-interval of a binomial, at least 95 %: a bootstrap of equal shares has no width.
+The unit of replication is the robot (or what a claim counts in its place). Medians have intervals
+of order statistics; below `ROBOTS.fewest` robots there is none, and a claim is open. Each figure of
+a method depends on its own errors and those of the reference alone, so that entering another method
+changes none of them, the correction over all verdicts apart; each figure of a claim on the rows
+that the claim selects alone. Shares have the interval of a binomial, at least 95 %: a bootstrap of
+equal shares has no width.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import comb
 from typing import Final, Literal
 
 import numpy as np
@@ -16,10 +18,14 @@ import numpy as np
 from sysid_bench.evaluation.intervals import (
     ROBOTS,
     median_interval,
+    median_ranks,
     percentile_interval,
     share_interval,
+    tails,
 )
 from sysid_bench.types import Array
+
+UNDECIDED: Final = "undecided"
 
 
 def mean_by_robot(robots: Sequence[str] | Array, values: Array, names: Sequence[str]) -> Array:
@@ -75,28 +81,61 @@ def least_p(differing: int) -> float:
     return 2.0 ** (1 - differing) if differing > 0 else 1.0
 
 
+def equivalence_p(values: Array, margin: float) -> float:
+    """Return the two-sided p of the sign test that the median of log ratios (n,) lies outside of
+    +-ln(1 + margin): twice the larger of both one-sided p (Schuirmann 1987). It is at most 1 -
+    level where the interval of order statistics lies within the margin; like `rank_test_p` it is
+    not below 2 of 2^n."""
+    limit, n = np.log1p(margin), len(values)
+    within = min(int((values >= -limit).sum()), int((values <= limit).sum()))
+    return min(1.0, 2.0 * float(sum(comb(n, k) for k in range(within, n + 1))) / 2.0**n)
+
+
 def holm(p: Array) -> Array:
-    """Return the p-values (k,) corrected for k comparisons by Holm's step-down method (1979)."""
-    order = np.argsort(p)
-    # The smallest p is multiplied by k, the next by k - 1, ...; a later one is never smaller.
-    stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
-    out = np.empty(len(p))
-    out[order] = np.minimum(stepped, 1.0)
-    return out
+    """Return the p-values (k,) or (k, h) corrected by Holm's step-down method (1979).
 
-
-def verdict(low: float, high: float, margin: float) -> str:
-    """Return "better", "worse", "equivalent" or "undecided" for the interval of a log ratio.
-
-    Equivalent: the interval lies within ln(1 + margin) of zero. Better or worse: it lies on one
-    side of zero, and reaches beyond the margin.
+    Of the h hypotheses in a line at most one is true, as "no difference" and "a difference beyond
+    the margin": each step counts the lines that have one left (Shaffer 1986), so that testing both
+    costs no more than testing one.
     """
-    limit = np.log1p(margin)
-    if -limit <= low and high <= limit:
+    flat = p.ravel()
+    order = np.argsort(flat, kind="stable")
+    lines = order // (flat.size // max(len(p), 1) or 1)
+    # A line is done where its last hypothesis was rejected, one step before.
+    last = {line: step for step, line in enumerate(lines.tolist())}
+    done = np.bincount(np.array(sorted(last.values()), dtype=int) + 1, minlength=len(flat) + 1)
+    left = len(p) - np.cumsum(done)[: len(flat)]
+    out = np.empty(flat.size)
+    # A later p is never smaller.
+    out[order] = np.minimum(np.maximum.accumulate(flat[order] * left), 1.0)
+    return out.reshape(p.shape)
+
+
+def robots_needed(verdicts: int) -> int:
+    """Return how many robots that all agree decide one of this many verdicts, corrected together:
+    the fewest whose smallest p, times the verdicts, is below 1 - level."""
+    at_most, robots = 2.0 * tails()[0], ROBOTS.fewest
+    while least_p(robots) * verdicts > at_most or median_ranks(robots) is None:
+        robots += 1
+    return robots
+
+
+def verdict(logs: Array, margin: float, p: float, p_equivalent: float) -> str:
+    """Return "better", "worse", "equivalent" or "undecided" for mean log ratios (robots,).
+
+    `p` and `p_equivalent` are those of `rank_test_p` and `equivalence_p`, corrected over all
+    verdicts that are printed together. Better or worse: p is significant, the interval lies on one
+    side of zero, and the median is beyond the margin; a significant difference of a few percent is
+    neither that nor equivalent.
+    """
+    ends, at_most = median_interval(logs), 2.0 * tails()[0]
+    if ends is None:
+        return UNDECIDED
+    if p_equivalent <= at_most:
         return "equivalent"
-    if high < 0.0:
-        return "better"
-    return "worse" if low > 0.0 else "undecided"
+    if p > at_most or ends[0] <= 0.0 <= ends[1] or abs(np.median(logs)) <= np.log1p(margin):
+        return UNDECIDED
+    return "better" if ends[1] < 0.0 else "worse"
 
 
 def win_rates(values: Array) -> Array:
@@ -203,13 +242,13 @@ def by_robot(robots: Array, values: Array) -> Array:
 
 
 def median_figure(values: Array) -> ClaimFigure:
-    """Return the median of values (robots,), one or more, with the interval of the bootstrap."""
+    """Return the median of values (robots,), one or more, with the interval of order statistics."""
     low, high = median_interval(values) or (None, None)
     return ClaimFigure(float(np.median(values)), low, high, len(values))
 
 
 def ratio_figure(logs: Array) -> ClaimFigure:
-    """Return exp(median of log ratios (robots,)), with the interval of the bootstrap."""
+    """Return exp(median of log ratios (robots,)), with the interval of order statistics."""
     figure = RatioFigure.of(logs)
     return ClaimFigure(float(np.exp(np.median(logs))), figure.low, figure.high, len(logs))
 

@@ -4,21 +4,22 @@ A case is everything but the method: robot, payload, motion, noise, ... and repe
 l = ln(error / error of the reference); per robot the mean over its cases, so that a robot with many
 of them counts once; over robots exp(median). Ratio, interval, failures and raw p of a method depend
 on the method and the reference alone; ranks, classes of equal answers and Holm's correction over
-the declared family depend on which other methods are entered.
+all verdicts of a suite, and so the verdicts, depend on which other methods are entered.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.evaluation.intervals import median_interval
 from sysid_bench.evaluation.robot_statistic import (
+    UNDECIDED,
     RatioFigure,
+    equivalence_p,
     holm,
     least_p,
     mean_by_robot,
@@ -154,8 +155,6 @@ BROKEN: Final = 1e-6
 ALIKE: Final = 1e-4
 """Relative difference of errors up to which two answers are the same."""
 
-UNDECIDED: Final = "undecided"
-
 _DIGITS: Final = 9
 """Decimals of l: rounding makes equal ratios exact ties."""
 
@@ -180,8 +179,9 @@ class MethodRatio:
     unconverged: int
     laws: tuple[int, int]
     p: float
+    p_equivalent: float
     smallest_p: float
-    verdict: str
+    fallbacks: int  # cases that count as the reference where it decides
     logs: Array
     ratios: Array
     reason: str = ""
@@ -218,7 +218,6 @@ def method_ratio(
     deciding = by_robot["replaced" if is_replaced else "fallback"]
     own = answered & converged if is_replaced else answered
     known = deciding[~np.isnan(deciding)]
-    fallbacks = int((planned & ~own).sum())
     given = cases.noise_free & cases.has_row[:, m]
     lost = cases.status[planned & ~answered, m].tolist()
     statuses = Counter("no value" if status == _OK else status for status in lost)
@@ -231,8 +230,9 @@ def method_ratio(
         unconverged=int((answered & ~converged).sum()),
         laws=(int((cases.errors[given, m] <= BROKEN).sum()), int(given.sum())),
         p=rank_test_p(known),
+        p_equivalent=equivalence_p(known, margin),
         smallest_p=least_p(int(np.count_nonzero(known))),
-        verdict=_verdict(known, margin, fallbacks, int(planned.sum())),
+        fallbacks=int((planned & ~own).sum()),
         logs=deciding,
         ratios=np.where(answered, np.exp(logs), np.nan)[planned],
         reason=cases.reasons.get(method, ""),
@@ -244,18 +244,6 @@ def _robot_means(cases: RankingCases, logs: Array, which: Array) -> Array:
     no replicates."""
     names = tuple(dict.fromkeys(cases.robots))
     return mean_by_robot(cases.robots, np.where(which, logs, np.nan), names)
-
-
-def _verdict(logs: Array, margin: float, fallbacks: int, cells: int) -> str:
-    """Verdict from the interval; that of a method which often has no own answer may only be worse
-    or undecided, since the answers are those of the reference."""
-    ends = median_interval(logs)
-    if ends is None:
-        return UNDECIDED
-    # From the interval and not from p, which says nothing of the size of a difference.
-    found = verdict(*ends, margin)
-    often = fallbacks > MOST_FALLBACKS * cells
-    return UNDECIDED if often and found != "worse" else found
 
 
 def find_copied(cases: RankingCases, methods: tuple[str, ...]) -> dict[str, str]:
@@ -292,7 +280,7 @@ RATIOS: Final = np.geomspace(0.1, 100.0, 301)
 @dataclass(frozen=True, eq=False)
 class Ranking:
     """Methods, the best first. `same` maps a method to the earlier one that gave the same answers;
-    `family` are the methods whose comparisons are corrected together."""
+    `family` are the methods that have a verdict."""
 
     name: str
     title: str
@@ -304,6 +292,9 @@ class Ranking:
     family: tuple[str, ...]
     same: Mapping[str, str]
     cases: RankingCases = field(repr=False)
+    # p of a difference and of equivalence by method, corrected over `verdicts` of all rankings.
+    corrected: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    verdicts: int = 0
 
     @property
     def method_names(self) -> tuple[str, ...]:
@@ -328,17 +319,23 @@ class Ranking:
         return dict(zip((one.method for one in own), rows, strict=True))
 
     @cached_property
-    def holm_p(self) -> Mapping[str, float]:
-        """p of the comparisons of the family after Holm's correction; equal answers count once."""
+    def tested(self) -> tuple[str, ...]:
+        """Methods of the family that have a verdict; equal answers count once."""
         # The first method of each class of equal answers, without the class of the reference.
-        first = {name: self.same.get(name, name) for name in self.family}
-        seen, tested = {self.against}, []
-        for name, one in first.items():
-            if name != self.against and one not in seen:
-                seen.add(one)
-                tested.append(name)
-        raw = {one.method: one.p for one in self.comparisons}
-        return dict(zip(tested, holm(np.array([raw[m] for m in tested])).tolist(), strict=True))
+        first = dict.fromkeys(self.same.get(name, name) for name in self.family)
+        compared = {one.method for one in self.comparisons if one.robots}
+        return tuple(name for name in first if name != self.against and name in compared)
+
+    def verdict(self, one: MethodRatio) -> str:
+        """Verdict on a method of the family or a copy of one, from its corrected p; "" for others.
+        One that often has no own answer may only be worse or undecided, since the answers are those
+        of the reference."""
+        corrected = self.corrected.get(self.same.get(one.method, one.method))
+        if corrected is None:
+            return ""
+        found = verdict(one.logs[~np.isnan(one.logs)], self.margin, *corrected)
+        often = one.fallbacks > MOST_FALLBACKS * one.cells
+        return UNDECIDED if often and found != "worse" else found
 
     @cached_property
     def win_rates(self) -> Array:
@@ -358,7 +355,8 @@ def rank_cells(
     choose: Choose | None = None,
     metrics: Mapping[str, Metric] = METRICS,
 ) -> Iterator[Ranking]:
-    """Rankings of a [[ranking]] entry of a suite: one for each value of the labels `apart`.
+    """Rankings of a [[ranking]] entry of a suite: one for each value of the labels `apart`, which
+    have verdicts once they are corrected together with the others of the suite.
 
     `metrics` are the records by name. Raises UsageError for fewer than two methods, and for a
     reference or member of the family that is not among them.
@@ -373,6 +371,28 @@ def rank_cells(
     for key, group in groups:
         values = tuple(map(label, key if isinstance(key, tuple) else (key,)))
         yield _ranking(ranking_cases(group, metric), spec, values, metric)
+
+
+def correct_together(rankings: Iterable[Ranking]) -> tuple[Ranking, ...]:
+    """The rankings with the p-values of all their verdicts corrected together: whoever prints some
+    of them prints those of a suite."""
+    rankings = tuple(rankings)
+    raw = [
+        (one.p, one.p_equivalent)
+        for ranking in rankings
+        for name in ranking.tested
+        for one in ranking.comparisons
+        if one.method == name
+    ]
+    corrected = iter(holm(np.array(raw).reshape(-1, 2)).tolist())
+    return tuple(
+        replace(
+            ranking,
+            corrected={name: tuple(next(corrected)) for name in ranking.tested},
+            verdicts=len(raw),
+        )
+        for ranking in rankings
+    )
 
 
 def entry_with_cells(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str, Any]:

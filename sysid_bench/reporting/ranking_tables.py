@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import count_text
-from sysid_bench.evaluation.intervals import ROBOTS, level_text
-from sysid_bench.evaluation.robot_statistic import RatioFigure, least_p
+from sysid_bench.evaluation.intervals import ROBOTS, level_text, median_ranks
+from sysid_bench.evaluation.robot_statistic import RatioFigure, least_p, robots_needed
 from sysid_bench.reporting.ranking import ALIKE, BROKEN, MOST_FALLBACKS, MethodRatio, Ranking
 from sysid_bench.reporting.tables import METRIC, NO_ENTRY, Entry, Key, Table
 from sysid_bench.types import Metric
@@ -21,6 +21,7 @@ _VERDICTS: Final = (
     Metric("robots", "Robots", digits=0),
     Metric("p", "p"),
     Metric("p_holm", "p, corrected"),
+    Metric("p_equivalent", "p of equivalence, corrected"),
     Metric("p_smallest", "Smallest possible p"),
     Metric("verdict", "Verdict", text=True),
 )
@@ -54,12 +55,14 @@ def verdict_table(ranking: Ranking) -> Table:
     replaced = "failed and unconverged answers" if ranking.is_replaced else "failures"
     caption = (
         f"{ranking.metric.title} over that of {ranking.against}: exp of the median over robots of "
-        f"their mean log ratio, with its {level_text()} interval over robots drawn again "
-        f"({ROBOTS.draws} draws, seed {ROBOTS.seed}; none below {ROBOTS.fewest} robots). "
-        "p: exact signed-rank test over robots; corrected by Holm over "
-        f"{count_text(len(ranking.holm_p), 'comparison')}. Verdict "
-        f"from the interval with the reference in place of {replaced}: equivalent within "
-        f"{100 * ranking.margin:g} %; where more "
+        f"their mean log ratio, with the interval of order statistics that holds it in at least "
+        f"{level_text()} (none below {ROBOTS.fewest} robots); ranks with the interval over robots "
+        f"drawn again ({ROBOTS.draws} draws, seed {ROBOTS.seed}). "
+        "p: exact signed-rank test over robots; corrected by Holm and Shaffer over all "
+        f"{count_text(ranking.verdicts, 'verdict')} of the suite, and so is that of equivalence. "
+        f"Verdict with the reference in place of {replaced}: better or worse where corrected p and "
+        f"interval exclude 1 and the ratio is beyond {100 * ranking.margin:g} %; equivalent where "
+        "the corrected sign test excludes ratios beyond that; where more "
         f"than {100 * MOST_FALLBACKS:g} % of the cases have no own answer, "
         "neither better nor equivalent."
     )
@@ -72,7 +75,7 @@ def _finite(x: float) -> float | None:
 
 def _verdict_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
     rank = ranking.rank_interval.get(one.method)
-    corrected = ranking.holm_p.get(one.method)
+    corrected = ranking.corrected.get(one.method)
     is_reference = one.method == ranking.against
     # The reference against itself is not a comparison.
     tested = NO_ENTRY if is_reference or not one.robots else _number(one.p)
@@ -83,19 +86,20 @@ def _verdict_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
         _number(100.0 * one.failed / one.cells) if one.cells else NO_ENTRY,
         _number(one.robots),
         tested,
-        NO_ENTRY if corrected is None else _number(corrected),
+        *(map(_number, corrected) if corrected else (NO_ENTRY, NO_ENTRY)),
         NO_ENTRY if is_reference else _number(one.smallest_p),
         _text(verdict_of(ranking, one)),
     )
 
 
 def verdict_of(ranking: Ranking, one: MethodRatio) -> str:
-    """Verdict on a method; "reference" for that itself, "same as" for a copy of it."""
+    """Verdict on a method; "reference" for that itself, "same as" for a copy of it, "not tested"
+    for one outside of the family."""
     if one.method == ranking.against:
         return "reference"
     if ranking.same.get(one.method) == ranking.against:
         return f"same as {ranking.against}"
-    return one.verdict
+    return ranking.verdict(one) or "not tested"
 
 
 def _answer_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
@@ -167,14 +171,23 @@ def _table(
 
 
 def _notes(ranking: Ranking) -> Iterator[str]:
-    cases, robots = ranking.cases, max((one.robots for one in ranking.comparisons), default=0)
+    cases, sizes = ranking.cases, sorted({one.robots for one in ranking.comparisons})
     # Few robots cannot reach a small p, however clear the difference: the reader has to know the
     # floor.
-    floor, tested = least_p(robots), len(ranking.holm_p)
+    robots, verdicts = max(sizes, default=0), max(ranking.verdicts, 1)
     yield (
-        f"With {robots} robots p cannot be below {floor:.2g}, and after the correction not below "
-        f"{min(1.0, floor * max(tested, 1)):.2g}."
+        f"With {robots} robots p cannot be below {least_p(robots):.2g}, and after the correction "
+        f"not below {min(1.0, least_p(robots) * verdicts):.2g}; the first verdict needs "
+        f"{robots_needed(verdicts)} robots that all agree."
     )
+    known = ((n, median_ranks(n)) for n in sizes)
+    covered = [
+        f"{100 * found[1]:.1f} % ({found[0]} to {n + 1 - found[0]} of {n} robots in order)"
+        for n, found in known
+        if found
+    ]
+    if covered:
+        yield f"Coverage of the intervals, exact: {', '.join(covered)}."
     for first in dict.fromkeys(ranking.same.values()):
         copies = ", ".join(method for method, one in ranking.same.items() if one == first)
         yield f"Same answers as {first} (errors within {ALIKE:g}), counted once: {copies}."

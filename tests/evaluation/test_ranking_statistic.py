@@ -9,15 +9,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import rankdata, wilcoxon
 
-from sysid_bench.evaluation.intervals import ROBOTS, median_interval, percentile_interval
+from sysid_bench.evaluation.intervals import (
+    LEVEL,
+    ROBOTS,
+    confidence_level,
+    median_interval,
+    median_ranks,
+    percentile_interval,
+)
 from sysid_bench.evaluation.robot_statistic import (
     RatioFigure,
+    equivalence_p,
     holm,
     least_p,
     mean_by_robot,
     rank_interval,
     rank_test_p,
     ratio_profile,
+    robots_needed,
     verdict,
     win_rates,
 )
@@ -91,12 +100,37 @@ def test_holm_is_the_textbook_example() -> None:
     np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
 
 
-def test_intervals_hold_the_median_of_all_robots() -> None:
-    rng = np.random.default_rng(3)
-    ends = [median_interval(rng.normal(size=15)) for _ in range(100)]
-    held = np.mean([low <= 0.0 <= high for low, high in filter(None, ends)])
-    assert len(ends) == 100
-    assert 0.87 <= held <= 1.0
+@pytest.mark.parametrize("robots", range(ROBOTS.fewest, 17))
+def test_intervals_hold_the_median_exactly_as_often_as_they_say(robots: int) -> None:
+    """By enumeration of the sides of the median that the robots lie on."""
+    found = median_ranks(robots)
+    assert found is not None
+    k, coverage = found
+    below = np.array([bin(sides).count("1") for sides in range(2**robots)])
+    assert coverage == pytest.approx(np.mean((below >= k) & (robots - below >= k)), abs=1e-12)
+    narrower = np.mean((below > k) & (robots - below > k))
+    assert narrower < confidence_level() <= coverage
+    values = np.random.default_rng(robots).permutation(robots).astype(float)
+    assert median_interval(values) == (k - 1.0, robots - k)
+
+
+@pytest.mark.parametrize("robots", [6, 8, 13])
+def test_intervals_hold_the_median_of_skew_populations(robots: int) -> None:
+    """Where the percentile bootstrap holds that of 91 %."""
+    rng, (_, coverage) = np.random.default_rng(robots), median_ranks(robots) or (0, 0.0)
+    ends = [median_interval(row) for row in rng.exponential(size=(4000, robots))]
+    held = np.mean([low <= np.log(2.0) <= high for low, high in filter(None, ends)])
+    # Four standard deviations of a share of 4,000.
+    assert held == pytest.approx(coverage, abs=4 * np.sqrt(coverage * (1 - coverage) / 4000))
+
+
+def test_intervals_follow_an_increasing_map_and_the_sign() -> None:
+    rng = np.random.default_rng(2)
+    for robots in (6, 9, 14):
+        values = rng.normal(size=robots)
+        low, high = median_interval(values) or (0.0, 0.0)
+        assert median_interval(np.exp(values)) == pytest.approx((np.exp(low), np.exp(high)))
+        assert median_interval(-rng.permutation(values)) == (-high, -low)
 
 
 def test_few_robots_have_no_interval() -> None:
@@ -106,37 +140,85 @@ def test_few_robots_have_no_interval() -> None:
     np.testing.assert_array_equal(ROBOTS.indices(9), replace(ROBOTS).indices(9))
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "found"),
-    [
-        (0.80, 0.90, "better"),
-        (0.80, 0.99, "better"),
-        (0.80, 1.01, "undecided"),
-        (0.92, 0.99, "equivalent"),
-        (0.92, 1.09, "equivalent"),
-        (0.92, 1.11, "undecided"),
-        (1.01, 1.09, "equivalent"),
-        (1.01, 1.11, "worse"),
-    ],
-)
-def test_a_verdict_follows_the_interval_and_the_margin(low: float, high: float, found: str) -> None:
-    assert verdict(np.log(low), np.log(high), 0.1) == found
+@pytest.mark.parametrize("seed", range(20))
+def test_equivalence_is_an_interval_within_the_margin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(rng.normal(0, 0.05), 0.08, rng.integers(ROBOTS.fewest, 20))
+    if seed % 2:  # on the margin itself
+        values[: seed % 5] = rng.choice([-1, 1]) * np.log1p(0.1)
+    low, high = median_interval(values) or (-np.inf, np.inf)
+    within = max(-low, high) <= np.log1p(0.1)
+    assert (equivalence_p(values, 0.1) <= 1 - LEVEL) == within
+    assert equivalence_p(-values, 0.1) == equivalence_p(values, 0.1)
+    assert equivalence_p(values, 0.2) <= equivalence_p(values, 0.1)
+    assert least_p(len(values)) <= equivalence_p(values, 0.1) <= 1.0
+    assert equivalence_p(np.zeros(len(values)), 0.1) == least_p(len(values))
 
 
-@given(st.floats(0.01, 1.0), st.tuples(*[st.sampled_from([0, -1, 1]) | st.floats(-3, 3)] * 2))
-def test_ends_at_zero_and_at_the_margin_decide_for_both_sides(
-    margin: float, ends: tuple[float, float]
-) -> None:
-    """An interval that ends at zero excludes nothing; one that ends at the margin is within it."""
-    limit = float(np.log1p(margin))
-    low, high = sorted(limit * end for end in ends)
-    found = verdict(low, high, margin)
-    assert (found == "equivalent") == (max(-low, high) <= limit)
-    if found != "equivalent":
-        sides = {"better": high < 0, "worse": low > 0, "undecided": low <= 0 <= high}
-        assert sides[found]
+WORDS = ("better", "worse", "equivalent", "undecided")
+
+
+@given(st.integers(0, 300), st.floats(0, 1), st.floats(0, 1))
+def test_verdicts_are_monotone_and_have_two_sides(seed: int, p: float, equal: float) -> None:
+    rng = np.random.default_rng(seed)
+    logs = rng.normal(rng.normal(0, 0.2), rng.choice([0.01, 0.1, 0.5]), rng.integers(3, 16))
+    found = verdict(logs, 0.1, p, equal)
+    assert found in WORDS
     swapped = {"better": "worse", "worse": "better"}
-    assert verdict(-high, -low, margin) == swapped.get(found, found)
+    assert verdict(-logs, 0.1, p, equal) == swapped.get(found, found)
+    # A larger p decides nothing that a smaller one left open.
+    assert verdict(logs, 0.1, min(1.0, 2 * p), min(1.0, 2 * equal)) in (found, "undecided")
+    assert verdict(logs, 0.1, 1.0, 1.0) == verdict(logs[:5], 0.1, 0.0, 0.0) == "undecided"
+    if found in ("better", "worse"):
+        low, high = median_interval(logs) or (0.0, 0.0)
+        assert p <= 1 - LEVEL < equal
+        assert low > 0 or high < 0
+        assert abs(np.median(logs)) > np.log(1.1)
+
+
+@pytest.mark.parametrize("centre", [0.0, float(np.log1p(0.1))])
+def test_one_in_twenty_pages_has_a_false_verdict_at_most(centre: float) -> None:
+    """Of methods without a difference none is better or worse; on the margin, none equivalent."""
+    rng, false = np.random.default_rng(7), 0
+    for _ in range(150):
+        page = rng.normal(centre, 0.05, (6, 12))
+        raw = np.array([(rank_test_p(row), equivalence_p(row, 0.1)) for row in page])
+        found = {verdict(row, 0.1, *p) for row, p in zip(page, holm(raw).tolist(), strict=True)}
+        false += bool(found & ({"better", "worse"} if centre == 0.0 else {"equivalent"}))
+    assert false <= 15  # binomial: above 14 of 150 with 0.9 % at 5 %
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_two_hypotheses_in_a_line_are_corrected_by_closed_testing(seed: int) -> None:
+    """Against the definition: the largest Bonferroni p of all sets of hypotheses, at most one of
+    each line, that may be true together."""
+    p = np.round(np.random.default_rng(seed).uniform(0, 0.2, (3, 2)), 3)
+    found, sets = holm(p), list(product((0, 1, None), repeat=3))
+    for line, place in product(range(3), (0, 1)):
+        true = [one for one in sets if one[line] == place]
+        bonferroni = [
+            min(p[i, j] for i, j in enumerate(one) if j is not None)
+            * sum(j is not None for j in one)
+            for one in true
+        ]
+        assert found[line, place] >= min(1.0, max(bonferroni)) - 1e-12
+    np.testing.assert_allclose(holm(p[:, :1])[:, 0], holm(p[:, 0]))
+    assert (holm(p) <= holm(np.vstack([p, p]))[:3] + 1e-12).all()  # more verdicts, larger p
+    assert holm(np.zeros((0, 2))).shape == (0, 2)
+
+
+@pytest.mark.parametrize("verdicts", [1, 2, 10, 40, 98, 1000])
+def test_so_many_robots_decide_and_one_less_does_not(verdicts: int) -> None:
+    needed = robots_needed(verdicts)
+    for robots, word in ((needed, "worse"), (needed - 1, "undecided")):
+        logs = np.linspace(0.5, 0.6, robots)
+        raw = np.array(
+            [(rank_test_p(logs), equivalence_p(logs, 0.1)), *[(1.0, 1.0)] * (verdicts - 1)]
+        )
+        assert verdict(logs, 0.1, *holm(raw)[0]) == word
+        raw[0] = rank_test_p(0.0 * logs), equivalence_p(0.0 * logs, 0.1)
+        expected = "equivalent" if word == "worse" else word
+        assert verdict(0.0 * logs, 0.1, *holm(raw)[0]) == expected
 
 
 def test_wins_count_failures_as_lost_and_leave_absent_rows_out() -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from sysid_bench.commands.plan import plan
 from sysid_bench.errors import UsageError
+from sysid_bench.evaluation.robot_statistic import robots_needed
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
     held_out_seed,
@@ -171,6 +172,25 @@ def test_duplicates_are_run_once_and_reported() -> None:
     plan = plan_of(small('[defaults]\nrate = ["1 kHz", 1000]'))
     assert len(plan.cells) == 1
     assert any("specified twice" in note for note in plan.notes)
+
+
+def test_a_plan_states_how_many_robots_the_verdicts_of_its_rankings_need() -> None:
+    """All verdicts of a suite together; a family has those of its members alone."""
+    entry = '[[ranking]]\nname = "{}"\nagainst = "ols"\n{}'
+    both = entry.format("r", 'apart = ["noise"]\n') + entry.format(
+        "s", 'family = ["Geodesic (ours)"]\n'
+    )
+    plan = plan_of(FULL + both)
+    [note] = [one for one in plan.notes if one.startswith("Rankings")]
+    # Two kinds of noise, and the family.
+    needed = robots_needed(3)
+    assert f"3 verdicts, corrected together; the first needs {needed} robots" in note
+    assert needed > 3
+    assert "r-exact (3)" in note
+    assert "s (3)" in note
+    assert not any("verdict" in one for one in plan_of(FULL).notes)
+    none = entry.format("t", "select = 'torque_error < 1'\n")  # known of rows alone
+    assert any("1 verdict," in note for note in plan_of(FULL + none).notes)
 
 
 SWEEPS = small(

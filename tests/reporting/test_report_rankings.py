@@ -12,12 +12,18 @@ import pandas as pd
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.intervals import median_interval
-from sysid_bench.evaluation.robot_statistic import least_p, rank_test_p, verdict
+from sysid_bench.evaluation.robot_statistic import equivalence_p, least_p, rank_test_p, verdict
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting import ranking as rankings
 from sysid_bench.reporting.latex import Origin, to_latex
-from sysid_bench.reporting.ranking import RATIOS, MethodRatio, Ranking, entry_with_cells, rank_cells
+from sysid_bench.reporting.ranking import (
+    RATIOS,
+    MethodRatio,
+    Ranking,
+    correct_together,
+    entry_with_cells,
+    rank_cells,
+)
 from sysid_bench.reporting.ranking_figures import profile
 from sysid_bench.reporting.ranking_tables import ranking_tables, verdict_table
 from sysid_bench.reporting.tables import Entry
@@ -61,12 +67,19 @@ def _is_restless(method: str, payload: str) -> bool:
 
 
 def ranked(cells: pd.DataFrame, **spec: Any) -> list[Ranking]:
-    return list(rank_cells(cells, {"name": "r", "metric": "torque_error", **spec}))
+    found = rank_cells(cells, {"name": "r", "metric": "torque_error", **spec})
+    return list(correct_together(found))
 
 
 def compared(cells: pd.DataFrame, **spec: Any) -> dict[str, MethodRatio]:
     [ranking] = ranked(cells, **spec)
     return {one.method: one for one in ranking.comparisons}
+
+
+def word(cells: pd.DataFrame, method: str, **spec: Any) -> str:
+    """Verdict on one method, compared alone."""
+    [ranking] = ranked(cells[cells["estimator"].isin(["wls", method])], **spec)
+    return entry(ranking, method, "verdict").text
 
 
 def of(cells: pd.DataFrame, method: str, **spec: Any) -> MethodRatio:
@@ -85,7 +98,7 @@ def entry(ranking: Ranking, method: str, column: str) -> Entry:
 def figures(one: MethodRatio) -> tuple[Any, ...]:
     """All that may not depend on others."""
     parts = (one.ratio, one.fallback, one.replaced, one.robots, one.cells, one.unconverged)
-    rest = (dict(one.statuses), one.laws, one.p, one.smallest_p, one.verdict, one.reason)
+    rest = (dict(one.statuses), one.laws, one.p, one.p_equivalent, one.smallest_p, one.reason)
     return (*parts, *rest, one.ratios.tobytes(), one.logs.tobytes())
 
 
@@ -113,16 +126,26 @@ def test_ranks_and_the_correction_do_depend_on_it() -> None:
     [whole] = ranked(cells)
     [part] = ranked(cells[~cells["estimator"].isin(["good", "copy", "failing"])])
     assert whole.rank_interval["poor"][0] > part.rank_interval["poor"][0]
-    assert whole.holm_p["poor"] > part.holm_p["poor"]
+    assert whole.corrected["poor"] > part.corrected["poor"]
+    assert (whole.verdicts, part.verdicts) == (5, 3)
 
 
-def test_the_correction_is_over_the_declared_family() -> None:
+def test_the_correction_is_over_all_verdicts_of_a_suite() -> None:
+    """Those of the declared families, of all rankings and of both plants; others have none."""
     cells = fabricate()
     [declared] = ranked(cells, family=["good", "copy", "poor"])
     raw = {one.method: one.p for one in declared.comparisons}
-    assert set(declared.holm_p) == {"good", "poor"}  # a copy is not tested twice
+    assert set(declared.corrected) == {"good", "poor"}  # a copy is not tested twice
     smaller = min(raw["good"], raw["poor"])
-    assert min(declared.holm_p.values()) == pytest.approx(2 * smaller)
+    assert min(p for p, _ in declared.corrected.values()) == pytest.approx(2 * smaller)
+    assert entry(declared, "copy", "verdict").text == entry(declared, "good", "verdict").text
+    assert entry(declared, "alike", "verdict").text == "not tested"
+    apart = ranked(cells, family=["good", "copy", "poor"], apart=["plant"])
+    assert [one.verdicts for one in apart] == [4, 4]
+    every = correct_together([declared, *apart])
+    assert [one.verdicts for one in every] == [6, 6, 6]
+    assert min(p for p, _ in every[0].corrected.values()) == pytest.approx(6 * smaller)
+    assert "all 6 verdicts of the suite" in verdict_table(every[0]).description
     for wrong in ({"family": ["gud"]}, {"against": "gud"}):
         with pytest.raises(UsageError, match="good"):
             ranked(cells, **wrong)
@@ -150,7 +173,7 @@ def test_more_cells_of_one_robot_do_not_make_it_count_more() -> None:
     for method in ("good", "alike"):
         one, two = of(cells, method), of(more, method)
         assert one.ratio.value == pytest.approx(two.ratio.value)
-        assert (one.p, one.verdict, one.robots) == (two.p, two.verdict, two.robots)
+        assert (one.p, one.p_equivalent, one.robots) == (two.p, two.p_equivalent, two.robots)
 
 
 def test_neither_the_unit_nor_the_order_of_cells_matters() -> None:
@@ -166,11 +189,14 @@ def test_neither_the_unit_nor_the_order_of_cells_matters() -> None:
 
 
 def test_few_robots_have_neither_interval_nor_verdict() -> None:
-    for robots in (1, 5, 6):
+    for robots in (1, 5, 6, 8, 9):
         [ranking] = ranked(fabricate(robots=robots))
         good = next(one for one in ranking.comparisons if one.method == "good")
         assert (good.ratio.low is None) == (robots < 6)
-        assert good.verdict == ("undecided" if robots < 6 else "better")
+        # Five verdicts: 5 * 2^-5 > 5 %, 5 * 2^-7 is below it.
+        decided = entry(ranking, "good", "verdict").text
+        assert decided == ("better" if robots >= 8 else "undecided")
+        assert word(fabricate(robots=robots), "good") == ("better" if robots >= 6 else "undecided")
         assert good.smallest_p == 2.0 ** (1 - robots)
         assert any(
             f"With {robots} robots p cannot" in note for note in verdict_table(ranking).notes
@@ -192,7 +218,7 @@ def test_verdicts_are_those_that_the_data_were_made_with() -> None:
         "failing": "undecided",
         "restless": "better",
     }
-    assert of(fabricate(), "good", margin="60 %").verdict == "equivalent"
+    assert word(fabricate(), "good", margin="60 %") == "equivalent"
 
 
 @pytest.mark.parametrize(("lost", "found"), [(0, "better"), (5, "better"), (6, "undecided")])
@@ -203,7 +229,7 @@ def test_a_method_that_often_falls_back_is_never_better(lost: int, found: str) -
     cells.loc[index, "status"] = "failed"
     cells.loc[index, "torque_error"] = np.nan
     good = of(cells, "good")
-    assert (good.verdict, good.failed) == (found, lost)
+    assert (word(cells, "good"), good.failed) == (found, lost)
     assert good.ratio.value is not None
     assert good.fallback.value is not None
     assert good.fallback.value >= good.ratio.value - 1e-12
@@ -222,7 +248,7 @@ def test_a_failure_falls_back_to_the_reference() -> None:
     lost = everything["estimator"] == "poor"
     everything.loc[lost, "status"] = "crash"
     everything.loc[lost, "torque_error"] = np.nan
-    assert of(everything, "poor").verdict == "undecided"  # equal to the reference it is not
+    assert word(everything, "poor") == "undecided"  # equal to the reference it is not
 
 
 def test_unconverged_answers_are_accepted_or_replaced() -> None:
@@ -232,7 +258,8 @@ def test_unconverged_answers_are_accepted_or_replaced() -> None:
     assert accepted.unconverged == 28
     assert accepted.fallback.value == pytest.approx(0.6, rel=0.1)
     assert accepted.replaced.value == pytest.approx(np.sqrt(0.6), rel=0.1)
-    assert (accepted.verdict, replaced.verdict) == ("better", "undecided")
+    words = [word(cells, "restless", unconverged=one) for one in ("accepted", "replaced")]
+    assert words == ["better", "undecided"]
     assert of(cells.drop(columns="converged"), "restless").unconverged == 0
 
 
@@ -240,7 +267,7 @@ def test_equal_answers_count_once_and_are_named() -> None:
     [ranking] = ranked(fabricate())
     assert dict(ranking.same) == {"copy": "good"}
     assert "copy" not in ranking.rank_interval
-    assert "copy" not in ranking.holm_p
+    assert "copy" not in ranking.corrected
     assert any("as good" in note and "copy" in note for note in verdict_table(ranking).notes)
     twin = fabricate()
     twin = pd.concat([twin, twin[twin["estimator"] == "wls"].assign(estimator="twin")])
@@ -325,9 +352,13 @@ def test_every_figure_is_that_of_its_definition(seed: int, metric: str) -> None:
         assert one.p == pytest.approx(rank_test_p(rounded))
         assert one.smallest_p == least_p(int(np.count_nonzero(rounded)))
         own = count - statuses.total() - (restless if unconverged == "replaced" else 0)
-        found = verdict(*(median_interval(deciding) or (-9.0, 9.0)), 0.1)
-        often = own < 0.9 * count and found != "worse"
-        assert one.verdict == ("undecided" if often else found)
+        assert one.p_equivalent == pytest.approx(equivalence_p(rounded, 0.1))
+        assert one.fallbacks == count - own
+        if method != "wls":
+            found = verdict(rounded, 0.1, one.p, one.p_equivalent)
+            often = own < 0.9 * count and found != "worse"
+            given = word(cells, method, metric=metric, unconverged=unconverged)
+            assert given == ("undecided" if often else found)
         assert len(one.ratios) == count
 
 
@@ -507,6 +538,7 @@ def test_every_format_has_verdicts_and_intervals() -> None:
     assert found["poor", "verdict"]["text"] == "worse"
     assert found["poor", "fallback"]["low"] == one.fallback.low
     assert "10000 draws, seed 0" in table.description
+    assert any("98.7 % (3 to 12 of 14 robots in order)" in note for note in table.notes)
 
 
 def test_profiles_rise_to_the_share_of_answers() -> None:

@@ -159,7 +159,7 @@ def _method(ranking: Ranking, one: MethodRatio, seconds: Mapping[str, float]) ->
         "failed": one.failed,
         "robots": one.robots,
         "p": _finite(one.p),
-        "p_holm": _finite(ranking.holm_p.get(one.method)),
+        "p_holm": _finite(ranking.corrected.get(one.method, (math.nan,) * 2)[0]),
         "verdict": verdict_of(ranking, one),
         "cpu_seconds": seconds.get(one.method),
     }

@@ -15,7 +15,12 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.intervals import LEVEL, ROBOTS, at_level
 from sysid_bench.metrics import METRICS, metric_of
 from sysid_bench.reporting.figures import EXACT
-from sysid_bench.reporting.ranking import Ranking, entry_with_cells, rank_cells
+from sysid_bench.reporting.ranking import (
+    Ranking,
+    correct_together,
+    entry_with_cells,
+    rank_cells,
+)
 from sysid_bench.reporting.sections import SCORE
 from sysid_bench.reporting.selection import Choose, label, metric_names
 from sysid_bench.types import Metric
@@ -195,7 +200,7 @@ class SuiteVersion:
             own = entry_with_cells(entry, self.cells)
             with self.level(), suppress(UsageError):  # the cells so far may have no ranking
                 found += list(rank_cells(self.cells, own, choose, self.first.metrics))
-        return tuple(one for one in found if one.cases.with_ratio.any())
+        return correct_together(one for one in found if one.cases.with_ratio.any())
 
     def with_noise(self) -> "pd.DataFrame":
         """Cells whose data have noise; recorded ones have."""

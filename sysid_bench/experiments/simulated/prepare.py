@@ -42,6 +42,7 @@ from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.signals.filter import NoFilter
 from sysid_bench.simulation.candidate import Candidate
+from sysid_bench.simulation.forward_steps import ForwardModel
 from sysid_bench.types import Array, Experiment, Problem, Recording, Run
 from sysid_bench.units import interval
 
@@ -90,10 +91,12 @@ def _experiment(
     rows, measured = builder.row_indices, measured_signals(recording)
     simulate: Callable[..., Recording] = check_simulation
     known: Callable[[Any], Array] = check_simulation
+    forward: ForwardModel | None = None
     if not noise_free.task.cuts:
         candidate = Candidate(**(noise_free.spec.candidate or {}))
         simulate = SimulatedModel(noise_free.known_model, sampled.raw, candidate)
         known = KnownTorque(noise_free.known_model, rows)
+        forward = ForwardModel(noise_free.known_model, builder.base.pivots)
     along = builder.rows_along(recording.motion, sampled.rows, sampled.free)
     return Experiment(
         problem=builder.build(recording.motion, measured, noise_free.prior, along),
@@ -104,6 +107,7 @@ def _experiment(
         known=known,
         runs=runs,
         filter_rows=along.processed,
+        forward=forward,
     )
 
 

@@ -8,9 +8,10 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from sysid_bench.evaluation.intervals import median_interval
 from sysid_bench.evaluation.robot_statistic import (
     RatioFigure,
+    equivalence_p,
+    holm,
     least_p,
     mean_by_robot,
     rank_test_p,
@@ -28,7 +29,7 @@ from sysid_bench.harness.comparison.run_values import (
 )
 from sysid_bench.harness.comparison.speed import SpeedChange, compare_speed
 from sysid_bench.models.behaviour_change import BehaviourChange, behaviour_changes
-from sysid_bench.types import Metric
+from sysid_bench.types import Array, Metric
 from sysid_bench.words import MACHINE_FIELDS
 
 _Name = TypeVar("_Name")
@@ -307,12 +308,33 @@ def metric_ratio(before: RunValues, after: RunValues) -> tuple[MetricRatio, ...]
             else:
                 pairs.setdefault(before.cells[cell].robot, []).append((was, now))
         ratios.append(_ratio(metric, tolerance.floor, pairs, absent))
-    return tuple(ratios)
+    return _with_verdicts(before.metrics, ratios)
+
+
+def _with_verdicts(
+    metrics: Mapping[str, Metric], found: list[tuple[Array, MetricRatio]]
+) -> tuple[MetricRatio, ...]:
+    """The ratios with their verdicts, from p-values that are corrected together."""
+    signs = {"lower": 1.0, "higher": -1.0}
+    judged = {
+        one.metric: signs[better] * logs
+        for logs, one in found
+        if (better := metrics[one.metric].better) and one.low is not None
+    }
+    p = [(rank_test_p(logs), equivalence_p(logs, MARGIN)) for logs in judged.values()]
+    corrected = dict(zip(judged, holm(np.array(p).reshape(-1, 2)).tolist(), strict=True))
+    return tuple(
+        replace(one, verdict=verdict(judged[one.metric], MARGIN, *corrected[one.metric]))
+        if one.metric in judged
+        else one
+        for _, one in found
+    )
 
 
 def _ratio(
     metric: Metric, floor: float, pairs: Mapping[str, list[tuple[float, float]]], absent: int
-) -> MetricRatio:
+) -> tuple[Array, MetricRatio]:
+    """Mean log ratios (robots,) and their figures, without a verdict."""
     logs: dict[str, list[float]] = {}
     for robot, values in pairs.items():
         # A ratio of two roundings says nothing. Those within the digits of a baseline are zero.
@@ -327,11 +349,7 @@ def _ratio(
     )
     used = means[~np.isnan(means)]
     count, figure = sum(map(len, logs.values())), RatioFigure.of(used)
-    said, interval = "", median_interval(used)
-    if interval is not None and metric.better is not None:
-        low, high = interval if metric.better == "lower" else (-interval[1], -interval[0])
-        said = verdict(low, high, MARGIN)
-    return MetricRatio(
+    return used, MetricRatio(
         metric=metric.name,
         robots=len(used),
         cells=count,
@@ -343,5 +361,5 @@ def _ratio(
         higher=int((used > 0).sum()),
         p=rank_test_p(used),
         smallest_p=least_p(int(np.count_nonzero(used))),
-        verdict=said,
+        verdict="",
     )

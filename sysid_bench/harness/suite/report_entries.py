@@ -143,7 +143,7 @@ class RankingEntry(SuiteTable):
     apart: tuple[Label, ...] = ()  # labels of which each value has a ranking of its own
     against: StrictStr = words.REFERENCE  # the method that all ratios refer to
     family: tuple[StrictStr, ...] = ()
-    """Methods whose comparisons Holm's correction is over, declared before the run; none: all."""
+    """Methods that have a verdict, declared before the run; none: all."""
     margin: Annotated[Any, quantity_of("%", positive=True)] = words.MARGIN
     """Largest difference of an equivalent method."""
     unconverged: Annotated[

@@ -1,0 +1,45 @@
+"""What the rankings of a suite can decide with the robots that are planned."""
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from sysid_bench.errors import count_text
+from sysid_bench.evaluation.robot_statistic import robots_needed
+from sysid_bench.harness.cell import Cell, fields
+from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.harness.suite.model import Suite
+
+
+def _selected(cells: Iterable[Cell], condition: str | None) -> list[Cell]:
+    """Cells that meet a condition on rows, as far as a plan knows: one on what only rows have
+    counts as met."""
+    if condition is None:
+        return list(cells)
+    expression = Expression.parse(condition)
+    flat = [(cell, fields(cell)) for cell in cells]
+    known = set[str]().union(*(one for _, one in flat))
+    met = [cell for cell, one in flat if expression.holds(one)]
+    return met if expression.fields <= known else [cell for cell, _ in flat]
+
+
+def ranking_power(suite: Suite, cells: Sequence[Cell]) -> Iterator[str]:
+    """Yield how many robots the verdicts of the rankings need, corrected together, and the rankings
+    that have fewer."""
+    cells = [cell for cell in cells if cell.spec.repeat == 0]
+    verdicts, robots = 0, dict[str, int]()
+    for entry in suite.ranking:
+        groups: dict[tuple[str, ...], list[Cell]] = {}
+        for cell in _selected(cells, entry.select):
+            groups.setdefault(tuple(cell.labels[one] for one in entry.apart), []).append(cell)
+        for key, group in groups.items():
+            methods = {cell.labels["estimator"] for cell in group}
+            verdicts += len(methods.intersection(entry.family or methods) - {entry.against})
+            robots["-".join((entry.name, *key))] = len({cell.labels["robot"] for cell in group})
+    if not verdicts:
+        return
+    needed = robots_needed(verdicts)
+    few = [f"{name} ({count})" for name, count in robots.items() if count < needed]
+    yield (
+        f"Rankings: {count_text(verdicts, 'verdict')}, corrected together; the first needs "
+        f"{needed} robots that all agree."
+        + (f" Nothing can be decided in {', '.join(few)}." if few else "")
+    )
