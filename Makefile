@@ -120,7 +120,8 @@ wild: $(STAMP)
 	$(BIN)/sysid-bench survey wild -o reports/wild --baseline tests/baselines/wild.json
 	cp reports/wild/report.md reports/reference/wild.md
 
-# Pages of reports/reference from the commands that they name: hours in all, REPORTS="smoke arms" are minutes. Runs stay
+# Pages of reports/reference from the commands that they name: those that are older than their code (hours), or
+# REPORTS="smoke arms" (minutes). Runs stay
 # below reports/, where the same command resumes them; OPTIONS=--stored draws pages from the rows that are there.
 reference: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m reports.make.reference_reports $(OPTIONS) $(REPORTS)

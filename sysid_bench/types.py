@@ -9,7 +9,7 @@ Units are SI; a degree of freedom is an angle (rad, N m) or a length (m, N). A m
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -201,6 +201,16 @@ class Body:
 
 
 RowBlock = tuple[Float[Array, "n rows r"], Float[Array, "n rows"]]
+
+
+@runtime_checkable
+class SparseBlocks(Protocol):
+    """Blocks of a problem that can also be read without the zeros of W."""
+
+    def by_row(self, overlap: int = 0) -> Iterator[tuple[int, list[Array], Array]]:
+        """Yield (index of the first sample, W (k, n) of each row in the columns of its factor,
+        valid until the next block, b (n, rows)); a block begins with the last `overlap` samples of
+        the one before."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,9 +97,11 @@ def scores(row: Row) -> Row:
 @click.option("--stored", is_flag=True, help="Run nothing; draw from the rows that are there.")
 @click.option("--spread", is_flag=True, help="Designs and spread of the kept rows alone.")
 def main(names: tuple[str, ...], stored: bool, spread: bool) -> None:
-    """Make pages of reports/reference again, all by default."""
+    """Make pages of reports/reference again, by default those that are older than their code."""
     for page in [PAGES / f"{name}.md" for name in names] or sorted(PAGES.glob("*.md")):
         text = page.read_text(encoding="utf-8")
+        if not (names or spread or later_changes(load().get(page.stem, []))):
+            continue
         if spread:
             measure_rows(page.name)
         elif PART.search(text):
