@@ -30,6 +30,7 @@ from sysid_bench.evaluation.robot_statistic import (
     win_rates,
 )
 from sysid_bench.metrics import METRICS, metric_of
+from sysid_bench.reporting.baseline_rows import BASELINES, ERROR, with_baselines
 from sysid_bench.reporting.selection import Choose, label, select_rows
 from sysid_bench.reporting.tables import Key
 from sysid_bench.types import Array, Metric
@@ -77,10 +78,11 @@ def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
     names = [name for name in _CASE if name in cells.columns]
     lines = _answer_lines(cells, names, metric)
     methods = list(dict.fromkeys(lines["estimator"]))
-    if len(methods) < 2:
+    entered = [method for method in methods if method not in BASELINES]
+    if len(entered) < 2:
         raise UsageError(
             f"A ranking by {metric.name} compares methods, and 'select' leaves "
-            f"{', '.join(methods) or 'none'}."
+            f"{', '.join(entered) or 'none'}."
         )
     # In the order of the labels: draws of robots do not depend on which rows came first.
     rows = lines.drop_duplicates([*names, "estimator"]).set_index([*names, "estimator"])
@@ -289,6 +291,7 @@ class Ranking:
     margin: float
     is_replaced: bool  # unconverged answers count as those of the reference
     comparisons: tuple[MethodRatio, ...]
+    baselines: tuple[MethodRatio, ...]  # null model and floors, which are no methods
     family: tuple[str, ...]
     same: Mapping[str, str]
     cases: RankingCases = field(repr=False)
@@ -367,6 +370,8 @@ def rank_cells(
             raise unknown_name("field of the cells", name, map(str, cells.columns))
     metric = metric_of(str(spec["metric"]), metrics)
     kept = select_rows(cells, spec, choose)
+    if metric.name == ERROR:
+        kept = with_baselines(kept)
     groups = kept.groupby(apart, sort=False) if apart else [((), kept)]
     for key, group in groups:
         values = tuple(map(label, key if isinstance(key, tuple) else (key,)))
@@ -404,14 +409,19 @@ def entry_with_cells(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str
 def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: Metric) -> Ranking:
     title = str(spec.get("title") or f"Methods by {metric.title}")
     against, margin = str(spec.get("against", REFERENCE)), quantity(spec.get("margin", MARGIN), "%")
-    family = tuple(spec.get("family", ())) or cases.methods
+    methods = tuple(name for name in cases.methods if name not in BASELINES)
+    family = tuple(spec.get("family", ())) or methods
     for method in (against, *family):
-        if method not in cases.methods:
-            raise unknown_name("method of this ranking", method, cases.methods)
+        if method not in methods:
+            raise unknown_name("method of this ranking", method, methods)
     is_replaced = spec.get("unconverged") == "replaced"
     # The reference stands first in its class: a copy of it is not compared with it.
-    ordered = (against, *(method for method in cases.methods if method != against))
-    found = [method_ratio(cases, method, against, margin, is_replaced) for method in ordered]
+    ordered = (against, *(method for method in methods if method != against))
+    of_baselines = (name for name in BASELINES if name in cases.methods)
+    found, baselines = (
+        [method_ratio(cases, name, against, margin, is_replaced) for name in names]
+        for names in (ordered, of_baselines)
+    )
 
     def order(one: MethodRatio) -> tuple[float, str]:
         """Median of the deciding ratios, then the name; without any robot last."""
@@ -426,6 +436,7 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
         margin=margin,
         is_replaced=is_replaced,
         comparisons=tuple(sorted(found, key=order)),
+        baselines=tuple(baselines),
         family=family,
         same=find_copied(cases, ordered),
         cases=cases,

@@ -17,8 +17,11 @@ from sysid_bench.apps.conformance.findings import Finding, Kit, KitCase, Law, fa
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.tasks.prior import PriorSpread, prior_std, std_with_floor
+from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.least_squares import stacked_factor
+from sysid_bench.spatial import phi_of_pseudo_inertia, pseudo_inertia
 from sysid_bench.types import Array, Estimate, Experiment, Factor, Prior, Problem, RowBlock
 
 # `replace` makes a new object each time, so that the cached `Problem.stacked` is not inherited.
@@ -56,6 +59,54 @@ def first_samples(problem: Problem, samples: int) -> Problem:
         factors.append(Factor(factor.row, factor.columns, R, len(b)))
     return replace(problem, factors=tuple(factors), blocks=lambda: iter([(Y, b)]), samples=len(b))
 
+
+def with_moved_frames(problem: Problem, rng: np.random.Generator) -> Problem:
+    """The same problem with the frames of its links turned, and moved by 0.1 m: other inertial
+    parameters, another choice of base parameters, the same torques. The deviations of a prior are
+    those that its values have in the new frames."""
+    index = {name: i for i, name in enumerate(problem.parameters)}
+    turn, std = np.eye(len(index)), None if problem.prior is None else problem.prior.std.copy()
+    bodies = [np.array([index[name] for name in body.columns]) for body in problem.bodies]
+    for columns in bodies:
+        pose = np.eye(4)
+        pose[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        pose[:3, :3] *= np.sign(np.linalg.det(pose[:3, :3]))
+        pose[:3, 3] = rng.normal(0.0, 0.1, 3)
+        # J' = T J T': the second moments of the mass in the new frame, by columns.
+        moved = pose @ pseudo_inertia(np.eye(10)) @ pose.T
+        turn[np.ix_(columns, columns)] = phi_of_pseudo_inertia(moved).T
+    back = np.linalg.inv(turn)
+    sizes = problem.base.singular_values[: problem.base.rank, None]
+    base = base_map(sizes * (problem.base.K if (V := problem.base.row_space) is None else V) @ back,
+                    problem.parameters)  # fmt: skip
+    # beta' = C beta, and W' = W C^-1.
+    C = base.K @ turn @ np.linalg.pinv(problem.base.K)
+    inverse, r = np.linalg.inv(C), problem.base.rank
+    factors = []
+    for factor in problem.factors:
+        whole = np.zeros((max(len(factor.R), r + 1), r + 1))
+        whole[: len(factor.R), [*factor.columns, r]] = factor.R
+        whole[:, :r] = whole[:, :r] @ inverse
+        # A row counts the parameters that it depends on: what is rounding is none.
+        size = np.linalg.norm(whole[:, :r], axis=0)
+        columns = np.flatnonzero(size > ROUNDING * size.max(initial=0.0))
+        R = np.asarray(np.linalg.qr(whole[:, [*columns, r]], mode="r"))
+        factors.append(replace(factor, R=R, columns=columns))
+    prior = problem.prior
+    if prior is not None and std is not None:
+        theta = turn @ prior.theta
+        for columns in bodies:
+            std[columns] = prior_std(theta[columns], PriorSpread())
+        prior = Prior(theta, std_with_floor(std, problem.parameters))
+    file = None if problem.file is None else turn @ problem.file
+    return _with_blocks(
+        problem, lambda Y, b: (Y @ inverse, b), factors=tuple(factors), base=base, prior=prior,
+        file=file,
+    )  # fmt: skip
+
+
+ROUNDING: Final = 1e-9
+"""Share of the largest column of a row that is rounding of a change of parameters."""
 
 EXACT: Final = 1e-8
 """Largest |beta - beta*| / |beta*| of a consistent method on exact data."""
