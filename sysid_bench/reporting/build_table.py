@@ -23,7 +23,7 @@ from sysid_bench.reporting.selection import (
 from sysid_bench.reporting.table_entries import Entries, table_entries
 from sysid_bench.reporting.tables import ABSENT, Key, Table
 from sysid_bench.types import Metric
-from sysid_bench.words import INTERVAL_LIMITS, OF_REPEATS, STD_FROM
+from sysid_bench.words import FRAME_DEPENDENT, INTERVAL_LIMITS, OF_REPEATS, STD_FROM
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -167,6 +167,11 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
             "Plant and candidate models share step and integrator, or the simulator, in "
             f"{same} of {len(cells)} cells: errors of methods that simulate are too small there."
         )
+    if "estimator" in layout.fields and FRAME_DEPENDENT in cells.columns:
+        of = cells[~cells[FRAME_DEPENDENT].isin(["", "none"])]
+        methods = ", ".join(dict.fromkeys(map(label, of["estimator"])))
+        if methods:
+            yield f"Depends on the frames of the links that the model file has: {methods}."
     for metric in layout.metrics:
         yield from _names(cells, layout, metric)
         # Reasons for which cells have no value, with the number of cells of each
@@ -282,7 +287,7 @@ def table_fields(fields: Iterable[str], metrics: Iterable[str]) -> frozenset[str
     """Columns of cells that a table of some fields and metrics can show or explain."""
     names = list(metrics)
     more = [text for name in names for text in (f"{name}_names", f"{REASONS}.{name}")]
-    always = ["id", "status", "repeat", "same_simulator"]
+    always = ["id", "status", "repeat", "same_simulator", FRAME_DEPENDENT]
     if ERROR in names:
         always += ["experiment", *BASELINES.values()]
     return frozenset((*always, *SWEEPABLE, *SETTING, *fields, *names, *more))

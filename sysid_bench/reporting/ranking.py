@@ -35,7 +35,7 @@ from sysid_bench.reporting.selection import Choose, label, select_rows
 from sysid_bench.reporting.tables import Key
 from sysid_bench.types import Array, Metric
 from sysid_bench.units import quantity
-from sysid_bench.words import LABELS, MARGIN, REFERENCE
+from sysid_bench.words import FRAME_DEPENDENT, LABELS, MARGIN, REFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -298,6 +298,7 @@ class Ranking:
     # p of a difference and of equivalence by method, corrected over `verdicts` of all rankings.
     corrected: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     verdicts: int = 0
+    left_out: Mapping[str, str] = field(default_factory=dict)  # methods, and why
 
     @property
     def method_names(self) -> tuple[str, ...]:
@@ -370,12 +371,22 @@ def rank_cells(
             raise unknown_name("field of the cells", name, map(str, cells.columns))
     metric = metric_of(str(spec["metric"]), metrics)
     kept = select_rows(cells, spec, choose)
+    against, left_out = str(spec.get("against", REFERENCE)), {}
+    if FRAME_DEPENDENT in kept:
+        # Who wrote the model file would be ranked, and not the method.
+        reasons = kept[kept[FRAME_DEPENDENT].notna()].drop_duplicates("estimator")
+        left_out = dict(zip(reasons["estimator"].map(label), reasons[FRAME_DEPENDENT], strict=True))
+        left_out.pop(against, None)
+        kept = kept[~kept["estimator"].map(label).isin(left_out)]
+        family = [name for name in spec.get("family", ()) if name not in left_out]
+        spec = {**spec, "family": family}
     if metric.name == ERROR:
         kept = with_baselines(kept)
     groups = kept.groupby(apart, sort=False) if apart else [((), kept)]
     for key, group in groups:
         values = tuple(map(label, key if isinstance(key, tuple) else (key,)))
-        yield _ranking(ranking_cases(group, metric), spec, values, metric)
+        ranking = _ranking(ranking_cases(group, metric), spec, values, metric)
+        yield replace(ranking, left_out=left_out)
 
 
 def correct_together(rankings: Iterable[Ranking]) -> tuple[Ranking, ...]:

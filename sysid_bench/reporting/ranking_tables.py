@@ -196,6 +196,8 @@ def _notes(ranking: Ranking) -> Iterator[str]:
     for first in dict.fromkeys(ranking.same.values()):
         copies = ", ".join(method for method, one in ranking.same.items() if one == first)
         yield f"Same answers as {first} (errors within {ALIKE:g}), counted once: {copies}."
+    for method, reason in ranking.left_out.items():
+        yield f"Not ranked: {method}: {reason}."
     r = cases.methods.index(ranking.against)
     lost = int((cases.with_ratio & cases.has_row[:, r] & np.isnan(cases.errors[:, r])).sum())
     counts = {

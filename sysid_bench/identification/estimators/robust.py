@@ -9,7 +9,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.special import chdtr, chdtri
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.least_squares import with_floor
+from sysid_bench.identification.linear.least_squares import row_ranks, with_floor
 from sysid_bench.identification.linear.reweighted_rows import (
     Loss,
     StreamedRows,
@@ -98,8 +98,8 @@ class IRLS:
     Lambda is updated from the residuals until a step changes the torques by less than 1e-10 of
     them. Samples whose chi-square is as improbable as `cut` standard deviations of one variable are
     rejected (3: one of 370); Lambda is corrected for the variance that rejection removes, with
-    sqrt((N - b_i)(N - b_j)) degrees of freedom, b_j base parameters on joint j. Assumes W exact and
-    noise white in time. Han, Wu, Liu, Xiong (2020).
+    sqrt((N - b_i)(N - b_j)) degrees of freedom, b_j the rank of the rows of joint j. Assumes W
+    exact and noise white in time. Han, Wu, Liu, Xiong (2020).
     """
 
     cut: float = 3.0
@@ -110,7 +110,8 @@ class IRLS:
         motion does not excite every direction."""
         rows, beta = streamed_rows(problem)
         # Joints that no parameter acts on have no residual to whiten.
-        felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
+        acting = row_ranks(problem)
+        felt = acting > 0
         k = int(felt.sum())
         # Chi-square of k Gaussian variables that is exceeded as often as `cut` by one of them, and
         # the share of their variance within it.
@@ -130,7 +131,7 @@ class IRLS:
                 kept = e[counted[part]]
                 products += kept.T @ kept
                 used += int(np.count_nonzero(kept.any(axis=1)))
-            whiten = _whitening(problem, felt, products / share, used)
+            whiten = _whitening(problem, acting, products / share, used)
             return _whitened_across(whiten, felt, counted)
 
         fit = reweighted_fit(rows, beta, self.iterations, weigh, HOLD_AFTER)
@@ -152,15 +153,15 @@ def _whitened_across(whiten: Array, felt: Array, counted: Array) -> Weighting:
     return Weighting(values, rows)
 
 
-def _whitening(problem: Problem, felt: Array, products: Array, used: int) -> Array:
+def _whitening(problem: Problem, acting: Array, products: Array, used: int) -> Array:
     """C^-1/2 D^-1 (k, k) of the covariance D C D of `used` residuals with the sums of products
     (k, k), D their standard deviations.
 
     The symmetric root treats all joints alike; a floor above rounding keeps the covariance of exact
     data regular.
     """
-    acting = np.array([len(factor.columns) for factor in problem.factors])[felt]
-    freedom = np.maximum(used - acting, 1.0)
+    felt = acting > 0  # rank of each row
+    freedom = np.maximum(used - acting[felt], 1.0)
     floor = with_floor(problem, np.zeros(len(problem.factors)))[felt]
     deviations = np.sqrt(np.diag(products) / freedom + floor**2)
     scale = np.sqrt(freedom) * deviations
@@ -226,8 +227,9 @@ class ArGls:
                 "longer motion, or use the method 'wls'."
             )
         rows, beta = streamed_rows(problem)
-        # Columns of each row and coefficients of its filter are estimated from its samples.
-        acting = np.array([len(factor.columns) for factor in problem.factors])
+        # Rank of each row, since its columns depend on the choice of base parameters, and
+        # coefficients of its filter are estimated from its samples.
+        acting = row_ranks(problem)
         freedom = np.maximum(problem.samples - 2 * self.order - acting, 1)
         taps = np.zeros((len(acting), self.order + 1))
 
