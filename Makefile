@@ -1,4 +1,4 @@
-# make smoke | test | long | changed | nightly | environments | processors | tutorials | faults | cluster | fuzz | gate | wild | reference | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | changed | nightly | environments | processors | tutorials | faults | cluster | side-by-side | fuzz | gate | wild | reference | reference-check | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -7,6 +7,7 @@ JOBS ?= 2
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.sysid_bench_installed
 DOCS_STAMP := $(VENV)/.sysid_bench_docs_installed
+CLUSTER_STAMP := $(VENV)/.sysid_bench_cluster_installed
 # One BLAS thread a process: test processes and workers fill the cores already.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # Many processes start: a fifth to a third faster where Python may write its compiled files.
@@ -16,12 +17,13 @@ TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 
 GATED := smoke terminal agnostic
 
-.PHONY: changed nightly nightly-versions nightly-extras environments wheel smoke test long processors tutorials faults cluster fuzz gate gate-models wild reference lint bench docs clean install
+.PHONY: changed nightly nightly-versions nightly-extras environments wheel smoke test long processors tutorials faults cluster side-by-side fuzz gate gate-models wild reference reference-check lint bench docs clean install
 
 install: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt .cmake/CMakeLists.txt sysid_bench/regressors/kernel.c \
-		sysid_bench/simulation/steps.c sysid_bench/simulation/lanes.c
+		sysid_bench/simulation/steps.c sysid_bench/simulation/lanes.c \
+		sysid_bench/identification/simulation_based/filters.c
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -c constraints.txt -e ".[dev]"
 	touch $@
@@ -83,9 +85,12 @@ faults: $(STAMP)
 	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -n 6 --dist worksteal --durations=5 tests/faults
 
 # Runs on Dask workers and in jobs of SLURM, whose parts are killed.
-cluster: $(STAMP)
-	$(BIN)/python -m pip install -q -c constraints.txt -e ".[cluster]"
+cluster: $(CLUSTER_STAMP)
 	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m pytest -n 2 --dist worksteal --durations=5 tests/cluster
+
+$(CLUSTER_STAMP): $(STAMP)
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[cluster]"
+	touch $@
 
 # Damaged inputs of every kind that is read, N of each, from case FIRST on.
 N ?= 200
@@ -115,10 +120,15 @@ wild: $(STAMP)
 	$(BIN)/sysid-bench survey wild -o reports/wild --baseline tests/baselines/wild.json
 	cp reports/wild/report.md reports/reference/wild.md
 
-# Pages of reports/reference from the commands that they name: hours in all, REPORTS="smoke arms" are minutes. Runs stay
+# Pages of reports/reference from the commands that they name: those that are older than their code (hours), or
+# REPORTS="smoke arms" (minutes). Runs stay
 # below reports/, where the same command resumes them; OPTIONS=--stored draws pages from the rows that are there.
 reference: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m reports.make.reference_reports $(OPTIONS) $(REPORTS)
+
+# Texts, origins, numbers in sentences and later changes of reports/reference; `OPTIONS=--declare` writes what changed.
+reference-check: $(STAMP)
+	$(BIN)/python -m reports.make.reference_check $(OPTIONS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check sysid_bench tests docs reports/make .ci
@@ -137,8 +147,12 @@ $(DOCS_STAMP): $(STAMP)
 	$(BIN)/python -m pip install -q -c constraints.txt "sysid-bench[docs]"
 	touch $@
 
+# What .ci/run does after the tests, two parts at a time, since faults and clusters mostly wait. All is installed before.
+side-by-side: $(CLUSTER_STAMP) $(DOCS_STAMP)
+	$(MAKE) -j 2 --output-sync=target faults cluster gate docs lint reference-check
+
 clean:
 	find .cmake -mindepth 1 ! -name CMakeLists.txt ! -name .gitignore -delete
 	rm -f sysid_bench/regressors/libregressor.* sysid_bench/simulation/libsteps.* sysid_bench/simulation/liblanes.*
-	rm -rf build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks $(STAMP) $(DOCS_STAMP)
+	rm -rf build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks $(STAMP) $(DOCS_STAMP) $(CLUSTER_STAMP)
 	find sysid_bench tests -name __pycache__ -type d -prune -exec rm -rf {} +

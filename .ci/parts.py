@@ -10,10 +10,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-PARTS: Final = ("test", "long", "faults", "cluster", "gate", "docs", "lint", "bench")
+PARTS: Final = (
+    "test", "long", "faults", "cluster", "gate", "docs", "lint", "reference-check", "bench",
+)  # fmt: skip
 """Targets of make, each of which a machine of its own can run."""
 
-_CODE = ("test", "long", "faults", "gate", "docs", "lint")
+_CODE = ("test", "long", "faults", "gate", "docs", "lint", "reference-check")
 RULES: Final[tuple[tuple[str, tuple[str, ...]], ...]] = (
     # The first that fits decides; a rule with / at its end is a folder. Quick tests ask that each
     # option stands in a page, and that pages, targets and workflows name each other.
@@ -27,8 +29,8 @@ RULES: Final[tuple[tuple[str, tuple[str, ...]], ...]] = (
     (".conda/", ("test",)),
     (".gitignore", ()),
     (".github/", ("test",)),
-    ("reports/make/", ("test", "long", "lint")),
-    ("reports/", ("test", "long", "docs")),
+    ("reports/make/", ("test", "long", "lint", "reference-check")),
+    ("reports/", ("test", "long", "docs", "reference-check")),
     ("tests/benchmarks/", ("bench", "lint")),
     ("tests/faults/", ("faults", "lint")),
     ("tests/cluster/", ("cluster", "lint")),
@@ -47,9 +49,9 @@ RULES: Final[tuple[tuple[str, tuple[str, ...]], ...]] = (
     ("sysid_bench/regressors/", (*_CODE, "bench")),
     ("sysid_bench/simulation/", (*_CODE, "bench")),
     ("sysid_bench/", _CODE),
-    ("robots/", ("test", "long", "gate", "docs")),
-    ("suites/", ("test", "long", "gate", "docs")),
-    ("data/", ("test", "long", "docs")),
+    ("robots/", ("test", "long", "gate", "docs", "reference-check")),
+    ("suites/", ("test", "long", "gate", "docs", "reference-check")),
+    ("data/", ("test", "long", "docs", "reference-check")),
 )
 
 

@@ -25,13 +25,7 @@ if TYPE_CHECKING:
     from sysid_bench.apps.twins.commands.transfer import TransferResult, transfer
     from sysid_bench.apps.twins.commands.twin import TwinResult, twin
     from sysid_bench.apps.twins.commands.twin_table import TwinTableResult, twin_table
-    from sysid_bench.commands.baseline import (
-        BaselineResult,
-        GateResult,
-        baseline_save,
-        baseline_update,
-        gate,
-    )
+    from sysid_bench.commands.baseline import BaselineResult, baseline_save, baseline_update
     from sysid_bench.commands.basis import BasisResult, basis, paper_table
     from sysid_bench.commands.cells import CellsResult, cells
     from sysid_bench.commands.check_plugin import CheckPluginResult, check_plugin
@@ -45,6 +39,7 @@ if TYPE_CHECKING:
     from sysid_bench.commands.fetch import FetchResult, fetch
     from sysid_bench.commands.figure import FigureResult, figure
     from sysid_bench.commands.frames import FramesResult, frames
+    from sysid_bench.commands.gate import GateResult, gate
     from sysid_bench.commands.help import HelpResult, help_
     from sysid_bench.commands.identify import RecordedRequest, SimulatedRequest, identify
     from sysid_bench.commands.identify_recorded import RecordedResult
@@ -74,7 +69,8 @@ _PUBLIC: Final = {
     "apps.twins.commands.transfer": "TransferResult transfer",
     "apps.twins.commands.twin": "TwinResult twin",
     "apps.twins.commands.twin_table": "TwinTableResult twin_table",
-    "commands.baseline": "BaselineResult GateResult baseline_save baseline_update gate",
+    "commands.baseline": "BaselineResult baseline_save baseline_update",
+    "commands.gate": "GateResult gate",
     "commands.basis": "BasisResult basis paper_table",
     "commands.cells": "CellsResult cells",
     "commands.check_plugin": "CheckPluginResult check_plugin",

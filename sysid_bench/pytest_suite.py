@@ -22,7 +22,8 @@ from typing import Any, Final
 
 import pytest
 
-from sysid_bench.commands.baseline import cell_text, read_baseline
+from sysid_bench.commands.baseline import read_baseline
+from sysid_bench.commands.gate import cell_text
 from sysid_bench.commands.plan import plan
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.cell import Cell

@@ -9,7 +9,7 @@ Units are SI; a degree of freedom is an angle (rad, N m) or a length (m, N). A m
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -203,6 +203,16 @@ class Body:
 RowBlock = tuple[Float[Array, "n rows r"], Float[Array, "n rows"]]
 
 
+@runtime_checkable
+class SparseBlocks(Protocol):
+    """Blocks of a problem that can also be read without the zeros of W."""
+
+    def by_row(self, overlap: int = 0) -> Iterator[tuple[int, list[Array], Array]]:
+        """Yield (index of the first sample, W (k, n) of each row in the columns of its factor,
+        valid until the next block, b (n, rows)); a block begins with the last `overlap` samples of
+        the one before."""
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Identification problem W beta = b, as R factors per row; `blocks()` yields all samples."""
@@ -266,9 +276,10 @@ class Experiment:
     Recording with exact v and a; it raises UnsupportedError without a declared controller.
     `known(motion)` is the torque (n, rows) of the known parameters. `runs` are all recordings in
     time order where the suite has some without the payload; `recording` is then the first loaded
-    one. `filter_rows(x)` processes values x (N, rows, ...) at the samples of `recording` as the
-    pipeline has processed W and b of `problem`. `moving`: on recordings of a real robot, the
-    samples of `recording` at which each joint moves.
+    one. `forward` makes compiled steps of the model that `regress` and `known` describe (None:
+    there are none). `filter_rows(x)` processes values x (N, rows, ...) at the samples of
+    `recording` as the pipeline has processed W and b of `problem`. `moving`: on recordings of a
+    real robot, the samples of `recording` at which each joint moves.
     """
 
     problem: Problem
@@ -280,6 +291,7 @@ class Experiment:
     runs: tuple[Run, ...] = ()
     filter_rows: Callable[[Array], Array] = field(default=_unchanged, repr=False)
     moving: Array | None = None  # (N, rows)
+    forward: Any = field(default=None, repr=False)
 
 
 EstimateStatus = Literal["ok", "failed", "unsupported"]

@@ -112,7 +112,9 @@ def _git() -> dict[str, Any] | None:
             return {"commit": str(found["commit"]), "dirty": bool(found["dirty"])}
         except (OSError, ValueError, KeyError, TypeError):
             return None
-    commit, state = _ask_git(checkout, "rev-parse", "HEAD"), _ask_git(checkout, "status", "-s")
+    commit = _ask_git(checkout, "rev-parse", "HEAD")
+    # Reports are written while their commands run, and no result depends on them.
+    state = _ask_git(checkout, "status", "-s", "--", ".", ":!reports/reference")
     return {"commit": commit, "dirty": None if state is None else bool(state)}
 
 

@@ -14,7 +14,7 @@ from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.excitation.information import CRITERIA, Criterion
 from sysid_bench.experiments import third_party as loaded_sources
 from sysid_bench.harness import fingerprint
-from sysid_bench.harness.frames import COVERAGE_FILE, read_coverage
+from sysid_bench.harness.coverage import COVERAGE_FILE, read_coverage
 from sysid_bench.harness.plan import planned_fields
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.names import static_names

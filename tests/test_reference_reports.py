@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 
 from reports.make.kept_rows import designs, differing, spread_of
+from reports.make.page_numbers import PART
+from reports.make.reference_check import TYPED
 from reports.make.reference_reports import (
     PAGES,
-    PART,
     ROWS,
     RunCommand,
     id_hash,
@@ -34,21 +35,6 @@ NOT_MADE_AGAIN: dict[str, str] = {
     "real": "ten minutes of two cores; recorded robots",
 }
 """Pages of which a part is older than the suite, as the page states; its run has no kept row."""
-OTHER: dict[str, str] = {
-    "actuators": "reports/make/actuators*.py; recorded robots, and times of a machine",
-    "cluster": "reports.make.cluster_scale; times of a machine",
-    "diagnose": "reports/make/planted_mistakes.py; recorded robots",
-    "excite": "tests/benchmarks/test_excitation.py; times of a machine",
-    "levels": "reports.make.recorded_levels; recorded robots",
-    "scale": "tests.benchmarks and faults; times of a machine",
-    "seeds": "a list of commands; the tables are those of other pages",
-    "simulating-estimators": "reports.make.simulating_estimators; times of two commits",
-    "speed": "make bench; times of a machine",
-    "transfer": "sysid-bench transfer; recorded robots",
-    "twins": "sysid-bench twin; recorded robots",
-    "wild": "make wild, with a baseline of its own",
-}
-"""Pages whose commands are in their text alone, with what they are; without a kept row."""
 HALVING = "tests.experiments.plugins:Halving"
 FILES = sorted(ROWS.glob("*.json"))
 
@@ -102,9 +88,15 @@ def runs_of(page: Path) -> list[RunCommand]:
     return [RunCommand.parse(part[1]) for part in parts if part[1].startswith("sysid-bench run ")]
 
 
+def is_copied(page: Path) -> bool:
+    """True for a page without runs that says that its figures are copied."""
+    return not runs_of(page) and bool(TYPED.search(page.read_text(encoding="utf-8")))
+
+
 def test_every_run_of_a_page_has_a_kept_row_or_its_page_says_why_not() -> None:
     runs = {page.stem: runs_of(page) for page in PAGES.glob("*.md")}
-    assert {name for name, found in runs.items() if not found} == OTHER.keys()
+    bare = {name for name, found in runs.items() if not found}
+    assert bare == {page.stem for page in PAGES.glob("*.md") if is_copied(page)}
     old = {name for name, found in runs.items() if any(not r.witness.is_file() for r in found)}
     assert old == NOT_MADE_AGAIN.keys()
 

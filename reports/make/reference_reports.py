@@ -24,6 +24,8 @@ import click
 
 import sysid_bench
 from reports.make.kept_rows import designs, differing, spread_of
+from reports.make.page_numbers import PART
+from reports.make.reference_check import keep, later_changes, load, made_part, with_declaration
 from sysid_bench import package_folders
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.commands.run_folder import open_run
@@ -38,7 +40,6 @@ from tests.experiments.experiment_world import rows_of
 ROOT: Final = Path(__file__).parents[2]
 PAGES: Final = ROOT / "reports" / "reference"
 ROWS: Final = PAGES / "rows"
-PART: Final = re.compile(r"<!-- made by: (.*?) -->\n(.*?)<!-- end -->", re.DOTALL)
 NOT_SCORES: Final = MACHINE_FIELDS | {
     *("fingerprint", "versions", "sources", "traceback", "stats", "reason", "losses"),
     *("joints", "parameters_table", "rank_gap", "native_reason", "repairs"),
@@ -96,9 +97,11 @@ def scores(row: Row) -> Row:
 @click.option("--stored", is_flag=True, help="Run nothing; draw from the rows that are there.")
 @click.option("--spread", is_flag=True, help="Designs and spread of the kept rows alone.")
 def main(names: tuple[str, ...], stored: bool, spread: bool) -> None:
-    """Make pages of reports/reference again, all by default."""
+    """Make pages of reports/reference again, by default those that are older than their code."""
     for page in [PAGES / f"{name}.md" for name in names] or sorted(PAGES.glob("*.md")):
         text = page.read_text(encoding="utf-8")
+        if not (names or spread or later_changes(load().get(page.stem, []))):
+            continue
         if spread:
             measure_rows(page.name)
         elif PART.search(text):
@@ -106,7 +109,8 @@ def main(names: tuple[str, ...], stored: bool, spread: bool) -> None:
             for part in PART.finditer(text):  # each at once: the next may take hours, or fail
                 made = part_text(part, page.name, stored=stored)
                 text = page.read_text(encoding="utf-8").replace(part[0], made)
-                page.write_text(text, encoding="utf-8")
+                later = later_changes(load().get(page.stem, []))
+                page.write_text(with_declaration(page.stem, text, later), encoding="utf-8")
 
 
 def part_text(part: re.Match[str], page: str, *, stored: bool) -> str:
@@ -114,12 +118,17 @@ def part_text(part: re.Match[str], page: str, *, stored: bool) -> str:
     command = part[1]
     if stored and not has_rows(command):
         return part[0]
+    env = environment()
     if command.startswith(_RUN):
         text = run_text(command, page, stored=stored)
+        env = open_run(RunCommand.parse(command).folder).environment
     else:
         text = output(command, (0,))
         if command.startswith("python "):
-            text = f"```\n{command}\n```\n\n{machine_text(environment())} {date.today()}.\n\n{text}"
+            text = f"```\n{command}\n```\n\n{machine_text(env)} {date.today()}.\n\n{text}"
+    if env["git"] is None or env["git"]["dirty"]:
+        raise SystemExit(f"{command}: of a checkout with changes; commit them and run it again.")
+    keep(Path(page).stem, made_part(command, text, env["git"]["commit"]))
     return f"<!-- made by: {command} -->\n{text.strip()}\n\n<!-- end -->"
 
 

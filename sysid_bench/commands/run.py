@@ -21,8 +21,8 @@ from sysid_bench.commands.values import parse_condition
 from sysid_bench.errors import UsageError
 
 if TYPE_CHECKING:
-    from sysid_bench.commands.baseline import GateResult
     from sysid_bench.commands.claims import ClaimsResult
+    from sysid_bench.commands.gate import GateResult
     from sysid_bench.harness.stored_run import RunFolder
 
 
@@ -92,7 +92,8 @@ class Run(Request["RunResult"]):
         hold; `executor`: where cells are computed ("dask://HOST:PORT", "slurm:FILE" or a plug-in).
         Raises UsageError before anything runs.
         """
-        from sysid_bench.commands.baseline import gate_run, known_baseline
+        from sysid_bench.commands.baseline import known_baseline
+        from sysid_bench.commands.gate import gate_run
         from sysid_bench.harness.plan import Shard
         from sysid_bench.harness.run import run as execute
         from sysid_bench.input_files import is_folder

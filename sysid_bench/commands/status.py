@@ -13,7 +13,7 @@ from sysid_bench.commands.request import Request, argument, python_function
 from sysid_bench.commands.result import Result
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.frames import RowCounts
+    from sysid_bench.harness.coverage import RowCounts
     from sysid_bench.harness.stored_run import RunFolder
 
 _SHOWN: Final = 3

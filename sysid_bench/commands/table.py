@@ -95,7 +95,7 @@ _TARGETS: Final[Mapping[str, Mapping[str, str]]] = {
         "baseline": "",
         "baseline save": "commands.baseline:BaselineSave",
         "baseline update": "commands.baseline:BaselineUpdate",
-        "gate": "commands.baseline:GateCommand",
+        "gate": "commands.gate:GateCommand",
         "site": "apps.site.commands.site:Site",
         "record": "commands.record:Record",
         "view": "commands.record:View",

@@ -10,6 +10,7 @@ import numpy as np
 from sysid_bench.diagnosis import near_model as near
 from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
 from sysid_bench.models.model_checks import length, placeholder_reason
+from sysid_bench.models.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.signals.filter import Butterworth, derivative
@@ -24,6 +25,8 @@ BAND: Final = 0.18
 """Highest cut-off as a share of the rate: second differences amplify what lies above."""
 OVERSAMPLING: Final = 5.0
 """Rate after decimation in units of the cut-off."""
+STATES: Final = 100
+"""Random states that show what any motion can."""
 ROWS: Final = 500
 """Samples of the fits near the model: many fits are made, and neighbouring samples are alike."""
 TOOL: Final = 0.1
@@ -252,15 +255,51 @@ class DiagnoseInput:
         links = near.std_of(theta) * (near.FREE if self.placeholder else 1.0)
         return np.concatenate([links, near.load_std(theta)]) if self.loaded else links
 
+    @cached_property
+    def carrying(self) -> "DiagnoseInput":
+        """The recording of a robot with an unknown load at the tool."""
+        loaded = replace(self, loaded=True)
+        of_links = ("link_std", "near_model", "_touched", "_directions")
+        known = {name: value for name, value in vars(self).items() if name not in of_links}
+        vars(loaded).update(known | {"loaded": True})  # the signals are prepared once
+        return loaded
+
     def regressor(self, motion: JointMotion, robot: RobotModel | None = None) -> Array:
         """Columns (N, n, p) of the links along a motion of the recorded joints."""
         regression = torque_regression(robot, self._links[0]) if robot else self._regression
-        Y = regression.dense(self.trajectory(motion)).Y[:, self.torque_columns]
+        return self._link_columns(regression, self.trajectory(motion))
+
+    def _link_columns(self, regression: AnyRegression, motion: Trajectory) -> Array:
+        Y = regression.dense(motion).Y[:, self.torque_columns]
         if not self.loaded:
             return Y
         tool, tree = self.robot.tool_body, self.robot.tree
-        first = 10 * int(tree.carrier[tool])
-        return np.concatenate([Y, Y[..., first : first + 10] @ tree.X[tool]], axis=2)
+        return np.concatenate([Y, Y[..., self._tool_columns] @ tree.X[tool]], axis=2)
+
+    @property
+    def _tool_columns(self) -> slice:
+        """Columns of the link that carries the tool."""
+        first = 10 * int(self.robot.tree.carrier[self.robot.tool_body])
+        return slice(first, first + 10)
+
+    @cached_property
+    def _touched(self) -> tuple[Array, ...]:
+        """Columns of the links that each joint (n,) moves."""
+        p, at = len(self._links[0]), self._tool_columns
+        found = []
+        for row in self.torque_columns:
+            links = np.unique(self._regression.row_columns[row] // 10)
+            own = (10 * links[:, None] + np.arange(10)).ravel()
+            tool = np.arange(p, p + 10) if self.loaded and at.start in own else own[:0]
+            found.append(np.concatenate([own, tool]))
+        return tuple(found)
+
+    @cached_property
+    def _directions(self) -> Array:
+        """Directions (p, r) of the scaled link columns that any motion can show."""
+        states = random_states(self.robot, STATES, np.random.default_rng(0))
+        W = self._link_columns(self._regression, states)
+        return near.independent_directions(W * self.link_std, self._touched)
 
     @cached_property
     def _regression(self) -> AnyRegression:
@@ -282,17 +321,24 @@ class DiagnoseInput:
         W: Array | None = None,
         more: Array | None = None,
         spread: Array | float = 1.0,
+        is_own: bool = True,
     ) -> NearModel:
         """Normal equations near the model along a motion of as many samples as `sparse`, with its
-        own link columns or with others W (N, n, p); `more` (N, n, k): columns that a mixing may add
-        to the torques; `spread` (p,): factors on the spreads of the links."""
+        own link columns or with others W (N, n, p), of another gravity where they are not
+        `is_own`; `more` (N, n, k): columns that a mixing may add to the torques; `spread` (p,):
+        factors on the spreads of the links."""
         W = self.regressor(motion) if W is None else W
         T = np.repeat(self.fit_samples[1][:, None], self.count, axis=1)
         T = T if more is None else np.concatenate([T, more], axis=2)
         std = self.link_std * spread
+        basis = self._directions if is_own else near.independent_directions(W * std, self._touched)
+        if np.ndim(spread):
+            basis = np.linalg.qr(basis * np.asarray(spread)[:, None])[0]
         known, seconds = self.file_parameters.ravel(), len(self.log.recording) / self.rate
-        F, held = terms(motion), self.holding
-        return near.near_model(W, F, T, known, std, holding=held, seconds=seconds)
+        return near.near_model(
+            W, terms(motion), T, self._touched, basis, known, std,
+            holding=self.holding, seconds=seconds,
+        )  # fmt: skip
 
     @cached_property
     def near_model(self) -> NearModel:

@@ -170,7 +170,7 @@ def _log_gains(before: Hypothesis) -> tuple[Array, Array]:
 def _without_terms(before: Hypothesis, j: int, links: Array) -> Array:
     """Mean products (r + 2, r + 2) of joint j's columns [links, torque of these links, recorded
     torque] after its friction, armature and offset are fitted to each."""
-    P, r = before.model.without_terms(j)[0], before.model.rank
+    P, r = before.model.without_terms[0][j], before.model.rank
     C = np.zeros((len(P), r + 2))
     C[:r, :r] = np.eye(r)
     C[:r, r], C[r, r] = links, 1.0

@@ -70,10 +70,13 @@ class Hypothesis:
         """The hypothesis with another motion."""
         return replace(self, motion=motion, given=None)
 
-    def with_columns(self, W: Array, motion: JointMotion | None = None) -> "Hypothesis":
-        """The hypothesis with other link columns, and with another motion."""
-        motion = motion or self.motion
+    def with_columns(self, W: Array, motion: JointMotion) -> "Hypothesis":
+        """The hypothesis with another motion and its link columns."""
         return replace(self, motion=motion, given=self.evidence.normal(motion, W))
+
+    def with_gravity(self, W: Array) -> "Hypothesis":
+        """The hypothesis with the link columns of another gravity."""
+        return replace(self, given=self.evidence.normal(self.motion, W, is_own=False))
 
 
 def curvature_half(low: float, middle: float, high: float, step: float) -> float:

@@ -1,7 +1,9 @@
 """Candidates that change the model: the direction of gravity, and another robot of the library."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -45,7 +47,7 @@ def gravity_direction(before: Hypothesis) -> Iterator[Candidate]:
             across *= size / max(float(np.linalg.norm(across)), 1e-9)
             there = declared * np.cos(np.radians(by)) + across * np.sin(np.radians(by))
             there = g if by == angle else there  # towards g and beyond
-            return before.with_columns(inertial + np.tensordot(there, axes, axes=1))
+            return before.with_gravity(inertial + np.tensordot(there, axes, axes=1))
 
         if angle > ANGLE:
             yield Candidate(
@@ -127,11 +129,7 @@ def link_inertia(before: Hypothesis) -> Iterator[Candidate]:
 def other_robot(before: Hypothesis) -> Iterator[Candidate]:
     """Yield candidates with each robot of the library that has as many joints, in their order."""
     e = before.evidence
-    for name, file in robots().items():
-        try:
-            robot = load_robot(read_manifest(file))
-        except (SysidBenchError, OSError):
-            continue
+    for name, robot in _library():
         kinds = tuple(joint.kind for joint in robot.joints)
         # Gravity is that of the model that is judged: it is stated, and no property of a robot.
         robot = replace(robot, tree=replace(robot.tree, gravity=e.robot.tree.gravity))
@@ -142,6 +140,16 @@ def other_robot(before: Hypothesis) -> Iterator[Candidate]:
             f"the recording fits {robot.manifest.title or name} better than the model",
             f"--model {name}", "robots that are not in the library, and scaled twins",
         )  # fmt: skip
+
+
+@cache
+def _library() -> list[tuple[str, RobotModel]]:
+    """Robots of the library that can be loaded, by name; they take longer than their fits."""
+    found = []
+    for name, file in robots().items():
+        with suppress(SysidBenchError, OSError):
+            found.append((name, load_robot(read_manifest(file))))
+    return found
 
 
 def _of_robot(evidence: DiagnoseInput, robot: RobotModel) -> DiagnoseInput:

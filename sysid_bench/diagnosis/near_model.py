@@ -5,7 +5,8 @@ parameters of the links stay within stated spreads of the file's. Sign, gain, or
 gravity, to which a free fit is blind, remain in the residual of this one.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -100,67 +101,107 @@ class NearModelFit:
 
 @dataclass(frozen=True, eq=False)
 class NearModel:
-    """Normal equations of a motion. Columns of joint j: r links in coordinates of the prior, 4
-    terms, the torque predicted by the file, and k torques that were recorded; `products` (n, c, c)
+    """Normal equations of a motion. Columns of joint j: r links in coordinates of the prior, the
+    torque predicted by the file, k torques that were recorded, and 4 terms; `products` (n, c, c)
     are their mean products, `basis` (p, r) the links' directions, `scale` (p,) their spreads."""
 
     products: Array
     basis: Array
     scale: Array
     known: Array  # (p,) of the file
-    information: Array  # (r,) mean squared relative torque of one spread along each direction
     holding: Array  # (n,) torques that the drives are built to hold; infinite where none is known
     parts: float = PARTS
-    _eliminated: dict[tuple[int, int], tuple[Array, Array]] = field(default_factory=dict)
+    is_limb: bool = False
+    _held: dict[tuple[int, int], tuple[Array, Array]] = field(default_factory=dict)
+    _fits: dict[bytes, NearModelFit] = field(default_factory=dict)
 
     @property
     def rank(self) -> int:
         """Number r of directions of the links."""
         return int(self.basis.shape[1])
 
-    def without_terms(self, j: int, held: int = 0) -> tuple[Array, Array]:
-        """Mean products (c - 4, c - 4) of joint j's links, file and torques after its terms are
-        fitted to each, and the terms (4, c - 4) of these fits; the bits of `held` are terms at
-        zero."""
-        if (j, held) not in self._eliminated:
-            P, r, m = self.products[j], self.rank, len(TERMS)
-            free = np.array([i for i in range(m) if not held >> i & 1 and P[r + i, r + i] > 0], int)
-            others = np.r_[:r, r + m : len(P)]
-            # Columns in SI differ by decades: with a unit diagonal one small number regularises.
-            D = np.sqrt(P[r + free, r + free])
-            own = P[np.ix_(r + free, r + free)] / np.outer(D, D) + 1e-9 * np.eye(len(free))
-            sides = P[np.ix_(r + free, others)] / D[:, None]
-            fitted = np.zeros((m, len(others)))
-            fitted[free] = np.linalg.solve(own, sides) / D[:, None]
-            left = P[np.ix_(others, others)] - P[np.ix_(others, r + free)] @ fitted[free]
-            self._eliminated[j, held] = left, fitted
-        return self._eliminated[j, held]
+    @property
+    def information(self) -> Array:
+        """Mean squared relative torques (r,) of one spread along independent directions, the first
+        n torques being those of the joints."""
+        r, n = self.rank, len(self.products)
+        weight = self.torque_scale(np.eye(self.products.shape[1] - r - 1 - len(TERMS), n))
+        return np.linalg.eigvalsh(np.tensordot(weight, self.products[:, :r, :r], axes=1))
 
     @cached_property
-    def _free(self) -> tuple[Array, Array]:
-        """Mean products (n, c - 4, c - 4) and terms (n, 4, c - 4) of all joints, no term held."""
-        P, fitted = zip(*(self.without_terms(j) for j in range(len(self.products))), strict=True)
-        return np.stack(P), np.stack(fitted)
+    def without_terms(self) -> tuple[Array, Array]:
+        """Mean products (n, c - 4, c - 4) of the links, file and torques of all joints after their
+        terms are fitted to each, and the terms (n, 4, c - 4) of these fits."""
+        every = np.arange(len(self.products))
+        return self._fitted_terms(every, 0 * every)
+
+    def _with_held(self, keys: Sequence[tuple[int, int]]) -> Iterator[tuple[Array, Array]]:
+        """Yield the same of single joints; the bits of the second number are terms at zero."""
+        if new := [key for key in keys if key not in self._held]:
+            found = zip(*self._fitted_terms(*np.array(new).T), strict=True)
+            self._held.update(zip(new, found, strict=True))
+        return (self._held[key] for key in keys)
+
+    def _fitted_terms(self, joints: Array, held: Array) -> tuple[Array, Array]:
+        P, m = self.products[joints], len(TERMS)
+        own, sides, power = P[:, -m:, -m:], P[:, -m:, :-m], np.diagonal(P, axis1=1, axis2=2)[:, -m:]
+        free = (power > 0) & (held[:, None] & np.append(BITS, 0) == 0)
+        # Columns in SI differ by decades: with a unit diagonal one small number regularises.
+        D = np.where(free, np.sqrt(np.where(free, power, 1.0)), np.inf)
+        own = own / (D[:, :, None] * D[:, None, :])
+        own[:, range(m), range(m)] = 1.0 + 1e-9
+        fitted = np.linalg.solve(own, sides / D[:, :, None]) / D[:, :, None]
+        return P[:, :-m, :-m] - P[:, :-m, -m:] @ fitted, fitted
 
     def fit(self, mixing: Array) -> NearModelFit:
         """Fit of the torques T @ mixing, T the recorded ones (N, k) and mixing (k, n)."""
+        key = mixing.tobytes()
+        if key not in self._fits:  # several checks ask for the same one
+            self._fits[key] = self._fit(mixing)
+        return self._fits[key]
+
+    @cached_property
+    def _limbs(self) -> list[tuple[Array, "NearModel"]]:
+        """Limbs with their joints, where there are several: their fits are independent."""
+        r, P = self.rank, self.products
+        touched = np.diagonal(P, axis1=1, axis2=2)[:, :r] > 0
+        limbs = [] if self.is_limb else connected(touched)
+        used = [np.append(touched[own].any(axis=0), [True] * (len(P[0]) - r)) for own in limbs]
+        return [
+            (own, replace(
+                self, products=P[own][:, some][:, :, some], basis=self.basis[:, some[:r]],
+                holding=self.holding[own], is_limb=True, _held={}, _fits={},
+            ))
+            for own, some in zip(limbs, used, strict=True)
+            if len(limbs) > 1
+        ]  # fmt: skip
+
+    def _fit(self, mixing: Array) -> NearModelFit:
+        if self._limbs:
+            parts = [(own, limb.fit(mixing[:, own])) for own, limb in self._limbs]
+            residual, terms = np.zeros(len(mixing[0])), np.zeros((len(mixing[0]), len(TERMS)))
+            for own, fit in parts:
+                residual[own], terms[own] = fit.residual, fit.terms
+            links = self.known + sum(fit.links - self.known for _, fit in parts)
+            cost, score = (
+                sum(part) for part in zip(*((f.cost, f.score) for _, f in parts), strict=True)
+            )
+            return NearModelFit(cost, score, residual, links, terms)
         n, scale = len(self.products), self.torque_scale(mixing)
         sides = np.concatenate([-np.ones((1, n)), mixing]).T  # of the torque less that of the file
         weight = np.ones(n)
         for _ in range(REWEIGHTED):
-            full, terms, rss = self._bounded(scale * weight, sides)
+            links, terms, rss = self._bounded(scale * weight, sides)
             square = np.maximum(rss, 0.0) * scale
             old, weight = weight, _weights(square)
             if np.abs(weight - old).max() < SETTLED:
                 break
-        links = -full[0, : self.rank]
         terms[scale == 0] = 0.0
         prior = float((links**2).sum())
         # A joint's own misfit is its noise: one that nothing explains decides nothing.
         score = self.parts * float(np.log1p(square / FLOOR**2).sum()) + prior
-        r = self.rank
         passive = terms * PASSIVE
-        power = np.einsum("ni,nij,nj->n", passive, self.products[:, r : r + 4, r : r + 4], passive)
+        power = np.einsum("ni,nij,nj->n", passive, self.products[:, -4:, -4:], passive)
         beyond = 0.5 * np.log(np.maximum(power / self.holding**2, 1.0))
         score += float(((beyond / HEAVY) ** 2).sum())
         cost = float(square.sum()) + PENALTY**2 * prior
@@ -171,7 +212,8 @@ class NearModel:
         """Variances (p,) of the link parameters in the fit of T @ mixing, over those of the
         prior."""
         r, weight = self.rank, _weights(self.fit(mixing).residual ** 2) * self.torque_scale(mixing)
-        H = FLOOR**2 * np.eye(r) + self.parts * np.tensordot(weight, self._free[0], axes=1)[:r, :r]
+        P = self.without_terms[0][:, :r, :r]
+        H = FLOOR**2 * np.eye(r) + self.parts * np.tensordot(weight, P, axes=1)
         # Directions without any effect on the torque keep the spread of the prior.
         unknown = np.maximum(1.0 - (self.basis**2).sum(axis=1), 0.0)
         known = FLOOR**2 * np.linalg.inv(H)
@@ -179,35 +221,38 @@ class NearModel:
 
     def torque_scale(self, mixing: Array) -> Array:
         """Reciprocals (n,) of the mean squares of the torques T @ mixing, 0 of one that is zero."""
-        recorded = self.products[0, -len(mixing) :, -len(mixing) :]
-        size = (mixing * (recorded @ mixing)).sum(axis=0)
+        torques = slice(self.rank + 1, self.rank + 1 + len(mixing))
+        size = (mixing * (self.products[0, torques, torques] @ mixing)).sum(axis=0)
         return np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
 
     def _bounded(self, scale: Array, sides: Array) -> tuple[Array, Array, Array]:
-        """Links and terms (n, 4) that minimise the residuals of the torques `sides` (n, k + 1), by
-        their scales, with no negative friction or armature, by an active set: [-links, sides]
-        (n, r + k + 1), the terms, and the squares (n,) of the residuals."""
+        """Links (r,) and terms (n, 4) that minimise the residuals of the torques `sides`
+        (n, k + 1), by their scales, with no negative friction or armature, by an active set; and
+        the squares (n,) of the residuals."""
         r, n = self.rank, len(sides)
         held, weight = np.zeros(n, dtype=int), self.parts * scale
-        P, fitted = (part.copy() for part in self._free)
-        for _ in range(ROUNDS):
+        P, fitted = self.without_terms
+        full = np.empty((n, P.shape[1]))
+        full[:, r:] = sides
+        for turn in range(ROUNDS):
             H = (weight @ P.reshape(n, -1)).reshape(P.shape[1:])[:r, :r]
             # Beyond sixteen digits, as of positions in another unit, the prior would be lost.
             H[range(r), range(r)] += FLOOR**2 + 1e-14 * H.diagonal().max(initial=0.0)
             b = weight @ (P[:, :r, r:] @ sides[:, :, None])[:, :, 0]
             # Residuals from the products alone: those of the combination torque - links.
-            full = np.empty((n, P.shape[1]))
-            full[:, :r], full[:, r:] = -np.linalg.solve(H, b), sides
+            full[:, :r] = -np.linalg.solve(H, b)
             terms = (fitted @ full[:, :, None])[:, :, 0]
             # Terms that turn negative are held at zero, and never set free again.
             wrong = (terms[:, :SIGNED] < 0) & (scale > 0)[:, None]
             if not wrong.any():
                 break
+            P, fitted = (P, fitted) if turn else (P.copy(), fitted.copy())
             held += wrong @ BITS
-            for j in np.flatnonzero(wrong.any(axis=1)).tolist():
-                P[j], fitted[j] = self.without_terms(j, int(held[j]))
+            keys = [(j, int(held[j])) for j in np.flatnonzero(wrong.any(axis=1)).tolist()]
+            for (j, _), found in zip(keys, self._with_held(keys), strict=True):
+                P[j], fitted[j] = found
         rss = ((full[:, None] @ P)[:, 0] * full).sum(axis=1)
-        return full, np.maximum(terms, BOUND), rss
+        return -full[0, :r], np.maximum(terms, BOUND), rss
 
 
 def _weights(square: Array) -> Array:
@@ -215,27 +260,48 @@ def _weights(square: Array) -> Array:
     return np.asarray(FLOOR**2 / (FLOOR**2 + square))
 
 
+def connected(touched: Array) -> list[Array]:
+    """Joints of each limb, from what each joint touches (n, p): legs on a base at rest, or fingers,
+    have no link in common."""
+    together = touched.astype(float) @ touched.T > 0
+    for _ in touched:
+        together = together @ together
+    return [np.flatnonzero(row) for row in np.unique(together, axis=0)]
+
+
+def independent_directions(W: Array, links: Sequence[Array]) -> Array:
+    """Orthonormal directions (p, r) of the columns W (N, n, p) that have an effect on a torque,
+    those of each joint by its own size, limb by limb: the prior alone decides the others. `links`:
+    for each joint the columns that are not zero."""
+    power = (W**2).sum(axis=(0, 2))
+    W = W / np.sqrt(np.where(power > 0, power, 1.0))[:, None]
+    touched = np.stack([np.isin(np.arange(W.shape[2]), own) for own in links])
+    found = []
+    for joints in connected(touched):
+        own = np.flatnonzero(touched[joints].any(axis=0))
+        A = W[:, joints][:, :, own].reshape(-1, len(own))
+        values, vectors = np.linalg.eigh(A.T @ A)
+        kept = values > 1e-12 * max(float(values.max(initial=0.0)), 1e-300)
+        found.append(np.zeros((W.shape[2], int(kept.sum()))))
+        found[-1][own] = vectors[:, kept]
+    return np.concatenate(found, axis=1)
+
+
 def near_model(
-    W: Array, F: Array, T: Array, known: Array, scale: Array, *, holding: Array, seconds: float
-) -> NearModel:
+    W: Array, F: Array, T: Array, links: Sequence[Array], basis: Array, known: Array, scale: Array,
+    *, holding: Array, seconds: float,
+) -> NearModel:  # fmt: skip
     """Normal equations of the link columns W (N, n, p), the terms F (N, n, 4) and the torques
     T (N, n, k), of which the first n are the recorded ones, with the file's parameters `known` (p,)
     and their spreads `scale` (p,), and the torques (n,) that the drives are built to hold; the
-    recording lasts some `seconds`."""
-    (n, p), m = W.shape[1:], len(TERMS)
-    columns = np.ascontiguousarray(np.concatenate([W * scale, F, T], axis=2).transpose(1, 0, 2))
-    P = columns.transpose(0, 2, 1) @ columns / len(W)
-    power = np.diag(P[0])[p + m : p + m + n]
-    weight = np.where(power > 0, 1.0 / np.where(power > 0, power, 1.0), 0.0)
-    # Directions without effect on any torque are dropped: the prior alone decides them.
-    values, vectors = np.linalg.eigh(np.tensordot(weight, P[:, :p, :p], axes=1))
-    kept = values > 1e-12 * max(float(values[-1]), 1e-300)
-    basis = vectors[:, kept]
-    r, size = basis.shape[1], P.shape[1]
-    B = np.zeros((size, r + m + 1 + size - p - m))
-    B[:p, :r], B[:p, r + m] = basis, known / scale
-    B[p : p + m, r : r + m], B[p + m :, r + m + 1 :] = np.eye(m), np.eye(size - p - m)
-    return NearModel(
-        B.T @ P @ B, basis, scale, known,
-        information=values[kept], holding=holding, parts=min(PARTS, seconds),
-    )  # fmt: skip
+    recording lasts some `seconds`. `links`: for each joint the columns of W that are not zero;
+    `basis` (p, r): directions of the scaled columns."""
+    r, more = basis.shape[1], T.shape[2] + F.shape[2]
+    products = np.empty((W.shape[1], r + 1 + more, r + 1 + more))
+    for j, own in enumerate(links):
+        A = np.concatenate([W[:, j, own] * scale[own], T[:, j], F[:, j]], axis=1)
+        B = np.zeros((A.shape[1], r + 1 + more))
+        B[: len(own), :r], B[: len(own), r] = basis[own], known[own] / scale[own]
+        B[len(own) :, r + 1 :] = np.eye(more)
+        products[j] = B.T @ (A.T @ A / len(A)) @ B
+    return NearModel(products, basis, scale, known, holding, min(PARTS, seconds))

@@ -353,7 +353,7 @@ def may_carry(before: Hypothesis) -> bool:
 
 def with_load(before: Hypothesis) -> Hypothesis:
     """The hypothesis with a load at the tool."""
-    return replace(before, evidence=replace(before.evidence, loaded=True), given=None)
+    return replace(before, evidence=before.evidence.carrying, given=None)
 
 
 def _load_variances(loaded: Hypothesis) -> Array:

@@ -15,7 +15,7 @@ from sysid_bench.errors import SysidBenchError
 from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.experiments.third_party import stale_sources
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.frames import RowCounts
+from sysid_bench.harness.coverage import RowCounts
 from sysid_bench.harness.stored_run import RunFolder
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.models.manifest import find_manifest

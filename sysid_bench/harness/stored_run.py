@@ -21,18 +21,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import SHOWN, UsageError, first_names, reason_of
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.frames import (
+from sysid_bench.harness.consolidate import PlannedFields, build_frames
+from sysid_bench.harness.coverage import (
     COVERAGE_FILE,
     HEAD,
     UNREADABLE,
     FrameFiles,
-    Frames,
-    PlannedFields,
     RowCounts,
-    build_frames,
-    data_frames,
     read_coverage,
 )
+from sysid_bench.harness.frames import Frames, data_frames
 from sysid_bench.harness.plan import (
     Plan,
     RowTable,

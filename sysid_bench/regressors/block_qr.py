@@ -6,6 +6,8 @@ depend on the number of samples, so the stacked regressor is never stored.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.linalg import lapack
@@ -93,15 +95,49 @@ def _absorb(R: Array, rows: Array) -> Array:
     return R
 
 
-def dense_blocks(
-    regression: MeasuredRegressor, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
-) -> Iterator[tuple[Array, Array]]:
-    """Yield (Y (n, rows, p), b (n, rows)) block by block; arguments as for `update_factors`."""
-    if isinstance(regression, Regression) and rows in (None, tuple(range(len(regression.rows)))):
-        # All rows: the kernel writes the dense block itself.
-        for part in blocks(motion):
-            yield regression.dense(motion_part(motion, part)).Y, b[part]
-        return
-    chosen = slice(None) if rows is None else list(rows)
-    for block in regression.blocks(motion):
-        yield block.dense()[:, chosen], b[block.samples][:, chosen]
+SHORT: Final = 512
+"""Samples of a block whose rows are read twice: they stay in the second-level cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionBlocks:
+    """Blocks of Y and b (N, n) along a motion, as a problem has them; arguments as for
+    `motion_factors`."""
+
+    regression: MeasuredRegressor
+    motion: Trajectory
+    b: Array
+    rows: tuple[int, ...]
+
+    def __call__(self) -> Iterator[tuple[Array, Array]]:
+        """Yield (Y (n, rows, p), b (n, rows)) block by block."""
+        regression, motion, b = self.regression, self.motion, self.b
+        if isinstance(regression, Regression) and self.rows == tuple(range(len(regression.rows))):
+            # All rows: the kernel writes the dense block itself.
+            for part in blocks(motion):
+                yield regression.dense(motion_part(motion, part)).Y, b[part]
+            return
+        chosen = list(self.rows)
+        for block in regression.blocks(motion):
+            yield block.dense()[:, chosen], b[block.samples][:, chosen]
+
+    def by_row(self, overlap: int = 0) -> Iterator[tuple[int, list[Array], Array]]:
+        """Yield (index of the first sample, the values (k, n) of each row in the columns of its
+        factor, b (n, rows)); values are valid until the next block, which begins with the last
+        `overlap` samples of this one."""
+        regression, chosen = self.regression, list(self.rows)
+        library = regression.library if isinstance(regression, Regression) else None
+        memory = np.zeros(0)  # fresh memory would cost as much as half of the kernel
+        for part in blocks(self.motion, SHORT):
+            samples = slice(max(part.start - overlap, 0), part.stop)
+            span, b = motion_part(self.motion, samples), self.b[samples][:, chosen]
+            if library is not None and isinstance(regression, Regression):
+                layout = layout_of(regression, self.rows)
+                size = layout.size * len(span)
+                memory = memory if len(memory) >= size else np.empty(size)
+                values = library.rows(layout, span, memory[:size].reshape(layout.size, -1))
+                starts = zip(layout.starts.tolist(), layout.count.tolist(), strict=True)
+                yield samples.start, [values[i : i + k] for i, k in starts], b
+            else:
+                (block,) = regression.blocks(span)
+                yield samples.start, [block.row(i) for i in chosen], b

@@ -83,9 +83,10 @@ class Library:
     dll: Any
     level: str
 
-    def rows(self, layout: KernelLayout, motion: Trajectory) -> Array:
-        """Return the values (layout.size, N): rows of Y without their zeros."""
-        out = np.empty((layout.size, len(motion)))
+    def rows(self, layout: KernelLayout, motion: Trajectory, out: Array | None = None) -> Array:
+        """Return the values (layout.size, N), into `out` if it is given: rows of Y without their
+        zeros."""
+        out = np.empty((layout.size, len(motion))) if out is None else out
         self._call("rows", layout, motion, (out,))
         return out
 

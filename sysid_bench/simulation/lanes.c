@@ -259,8 +259,9 @@ static inline void place(const Tree *t, int64_t j, const V *q, Frame *f)
     }
 }
 
-/* Rates of a joint's frame at zero joint accelerations, and what its inertia then needs. */
-static inline void move(const Tree *t, int64_t j, const V *v, const Frame *before, Frame *f)
+/* Rates of a joint's frame at joint accelerations `a` (NULL: zero; else hinges and slides alone). */
+static inline void move(const Tree *t, int64_t j, const V *v, const V *a, const Frame *before,
+                        Frame *f)
 {
     const V none = all(0.0);
     V3 w = {none, none, none}, alpha = w, d = scaled(all3(t->gravity), all(-1.0));
@@ -275,10 +276,14 @@ static inline void move(const Tree *t, int64_t j, const V *v, const Frame *befor
         alpha.x += w.y * v[0];
         alpha.y -= w.x * v[0];
         w.z += v[0];
+        if (a)
+            alpha.z += a[0];
         break;
     case SLIDE: /* Coriolis */
         d.x += 2.0 * w.y * v[0];
         d.y -= 2.0 * w.x * v[0];
+        if (a)
+            d.z += a[0];
         break;
     default: { /* linear rates of a free joint are in the world: no acceleration comes from them */
         const V *own = t->kind[j] == FREE ? v + 3 : v;
@@ -290,8 +295,28 @@ static inline void move(const Tree *t, int64_t j, const V *v, const Frame *befor
     f->w = w;
     f->alpha = alpha;
     f->d = d;
-    f->force = add(scaled(d, f->m), swing(w, alpha, f->h));
-    f->moment = add(add(times(f->J, alpha), cross(w, times(f->J, w))), cross(f->h, d));
+}
+
+static inline void carry(const V *inertia, Frame *f)
+{
+    f->m = inertia[0];
+    f->h = (V3){inertia[1], inertia[2], inertia[3]};
+    memcpy(f->J, inertia + 4, sizeof f->J);
+}
+
+/* What moves the body of a frame, of its own inertia alone. */
+static inline void own_wrench(Frame *f)
+{
+    f->force = add(scaled(f->d, f->m), swing(f->w, f->alpha, f->h));
+    f->moment = add(add(times(f->J, f->alpha), cross(f->w, times(f->J, f->w))), cross(f->h, f->d));
+}
+
+/* Add the force and moment on a frame to those on the frame before. */
+static inline void join_wrenches(const Frame *f, Frame *to)
+{
+    V3 force = turn(f->R, f->force);
+    to->force = add(to->force, force);
+    to->moment = add(to->moment, add(turn(f->R, f->moment), cross(f->p, force)));
 }
 
 /* Components of a force and moment along the degrees of freedom of joint j. */
@@ -388,13 +413,11 @@ static inline void mass_rows(const Tree *t, Group *g, int64_t j)
 static void dynamics(const Tree *t, Group *g)
 {
     for (int64_t j = 0; j < t->joints; j++) {
-        Frame *f = g->frames + j;
-        const V *x = g->inertia + 10 * j;
-        f->m = x[0];
-        f->h = (V3){x[1], x[2], x[3]};
-        memcpy(f->J, x + 4, sizeof f->J);
+        Frame *f = g->frames + j, *before = t->before[j] < 0 ? NULL : g->frames + t->before[j];
+        carry(g->inertia + 10 * j, f);
         place(t, j, g->q + t->qadr[j], f);
-        move(t, j, g->v + t->vadr[j], t->before[j] < 0 ? NULL : g->frames + t->before[j], f);
+        move(t, j, g->v + t->vadr[j], NULL, before, f);
+        own_wrench(f);
     }
     for (int64_t j = t->joints - 1; j >= 0; j--) {
         Frame *f = g->frames + j;
@@ -402,11 +425,8 @@ static void dynamics(const Tree *t, Group *g)
         mass_rows(t, g, j);
         if (t->before[j] < 0)
             continue;
-        Frame *to = g->frames + t->before[j];
-        V3 force = turn(f->R, f->force);
-        to->force = add(to->force, force);
-        to->moment = add(to->moment, add(turn(f->R, f->moment), cross(f->p, force)));
-        join_bodies(f, to);
+        join_wrenches(f, g->frames + t->before[j]);
+        join_bodies(f, g->frames + t->before[j]);
     }
 }
 
@@ -1094,6 +1114,461 @@ EXPORT void LEVELLED(run)(const Tree *t, const Call *c, const Record *out, void 
         g.has_coulomb = any(found);
         run_group(t, &g, c, out, first);
     }
+}
+
+/* --- Steps of a model along measured torques --------------------------------------------------- */
+
+/* A model of hinges and slides whose numbers, [inertias (joints, 10), armature, viscous, coulomb,
+ * spring, offset (nv)], are `known` plus `weight` times a base parameter at each `place` (those of
+ * parameter j are first[j] .. first[j + 1]): any numbers, also such as no body has. It runs along
+ * `tau` (samples, nv). The base parameters `column` follow the measured motion by their part
+ * `friction` (samples, nv, columns) of the torque, and joints that are `standing` (samples, nv) at
+ * both ends of a step follow `measured_a` (samples, nv); those that are `jumping` (r) with the state
+ * have no derivative by it. `nudge`: finite-difference step of q and v. */
+typedef struct {
+    int64_t r, substeps, columns, stands;
+    double dt, nudge, far;
+    const double *known, *weight;
+    const int64_t *first, *place, *column, *follows, *jumping, *standing;
+    const double *tau, *friction, *measured_a;
+} Model;
+
+enum { DONE, SINGULAR, DIVERGED };
+
+/* Add the numbers of base parameters beta (r); those that are `skipped` (r) are left out. */
+static void add_numbers(const Model *m, const int64_t *skipped, V *numbers, const V *beta)
+{
+    for (int64_t j = 0; j < m->r; j++)
+        for (int64_t e = m->first[j]; !skipped[j] && e < m->first[j + 1]; e++)
+            numbers[m->place[e]] += m->weight[e] * beta[j];
+}
+
+static void use_numbers(const Tree *t, Group *g, const V *numbers)
+{
+    const V *terms = numbers + 10 * t->joints;
+    g->inertia = numbers;
+    g->armature = terms, g->viscous = terms + t->nv, g->coulomb = terms + 2 * t->nv;
+    g->spring = terms + 3 * t->nv, g->offset = terms + 4 * t->nv;
+}
+
+/* Torque (nv) of joint terms but for the rotors' inertia. */
+static inline V term_torque(const Tree *t, const Group *g, int64_t j)
+{
+    const int64_t i = t->vadr[j];
+    V v = g->v[i], direction = pick(v > 0.0, all(1.0), pick(v < 0.0, all(-1.0), all(0.0)));
+    return g->viscous[i] * v + g->coulomb[i] * direction + g->offset[i]
+         + g->spring[i] * (g->q[t->qadr[j]] - t->spring_reference[i]);
+}
+
+/* Frames at q, v and accelerations a, of whatever inertia. */
+static void kinematics(const Tree *t, Group *g, const V *a)
+{
+    for (int64_t j = 0; j < t->joints; j++) {
+        Frame *f = g->frames + j, *before = t->before[j] < 0 ? NULL : g->frames + t->before[j];
+        place(t, j, g->q + t->qadr[j], f);
+        move(t, j, g->v + t->vadr[j], a + t->vadr[j], before, f);
+    }
+}
+
+/* Inverse dynamics tau (nv) of the numbers in use, after `kinematics`. */
+static void inverse_dynamics(const Tree *t, Group *g, const V *a, V *tau)
+{
+    for (int64_t j = 0; j < t->joints; j++) {
+        carry(g->inertia + 10 * j, g->frames + j);
+        own_wrench(g->frames + j);
+    }
+    for (int64_t j = t->joints - 1; j >= 0; j--) {
+        const int64_t i = t->vadr[j];
+        const Frame *f = g->frames + j;
+        components(t, j, f, f->force, f->moment, tau + i);
+        tau[i] += g->armature[i] * a[i] + term_torque(t, g, j);
+        if (t->before[j] >= 0)
+            join_wrenches(f, g->frames + t->before[j]);
+    }
+}
+
+/* M (nv, nv) of one lane, from the packed one. */
+static void unpack(const Tree *t, const Group *g, int64_t lane, double *M)
+{
+    memset(M, 0, 8 * (size_t)(t->nv * t->nv));
+    for (int64_t k = 0; k < t->nv; k++) {
+        const V *own = g->M + g->row[k];
+        for (int64_t i = k; i >= 0; i = g->dof_before[i], own++)
+            M[k * t->nv + i] = M[i * t->nv + k] = (*own)[lane];
+    }
+}
+
+/* LU of A (n, n) in place with row pivots, as LAPACK's; 0 where it is singular. */
+static int factorise_dense(int64_t n, double *A, int64_t *pivot)
+{
+    for (int64_t k = 0; k < n; k++) {
+        pivot[k] = k;
+        for (int64_t i = k + 1; i < n; i++)
+            if (fabs(A[i * n + k]) > fabs(A[pivot[k] * n + k]))
+                pivot[k] = i;
+        if (A[pivot[k] * n + k] == 0.0)
+            return 0;
+        for (int64_t l = 0; pivot[k] != k && l < n; l++) {
+            double x = A[k * n + l];
+            A[k * n + l] = A[pivot[k] * n + l];
+            A[pivot[k] * n + l] = x;
+        }
+        for (int64_t i = k + 1; i < n; i++) {
+            const double share = A[i * n + k] /= A[k * n + k];
+            for (int64_t l = k + 1; l < n; l++)
+                A[i * n + l] -= share * A[k * n + l];
+        }
+    }
+    return 1;
+}
+
+/* X (n, m) of A X = X. */
+static void solve_dense(int64_t n, const double *A, const int64_t *pivot, int64_t m, double *X)
+{
+    for (int64_t k = 0; k < n; k++) {
+        for (int64_t c = 0; pivot[k] != k && c < m; c++) {
+            double x = X[k * m + c];
+            X[k * m + c] = X[pivot[k] * m + c];
+            X[pivot[k] * m + c] = x;
+        }
+        for (int64_t i = k + 1; i < n; i++)
+            for (int64_t c = 0; c < m; c++)
+                X[i * m + c] -= A[i * n + k] * X[k * m + c];
+    }
+    for (int64_t k = n - 1; k >= 0; k--) {
+        for (int64_t i = k + 1; i < n; i++)
+            for (int64_t c = 0; c < m; c++)
+                X[k * m + c] -= A[k * n + i] * X[i * m + c];
+        for (int64_t c = 0; c < m; c++)
+            X[k * m + c] /= A[k * n + k];
+    }
+}
+
+/* Rows of joints that stand still, in a system M x = X (nv, m): x is `value` there. */
+static int hold(const Tree *t, const Model *m, int64_t at, double *M, double *x)
+{
+    int held = 0;
+    for (int64_t i = 0; m->stands && i < t->nv; i++) {
+        const int64_t here = at * t->nv + i, next = here + t->nv;
+        if (!m->standing[here] || !m->standing[next])
+            continue;
+        memset(M + i * t->nv, 0, 8 * (size_t)t->nv);
+        M[i * t->nv + i] = 1.0;
+        x[i] = 0.5 * (m->measured_a[here] + m->measured_a[next]);
+        held = 1;
+    }
+    return held;
+}
+
+/* Memory of the functions below, cut into their arrays. */
+typedef struct {
+    V *rigid, *smooth, *beta, *torque, *rates, *a, *b, *tau, *q, *v; /* numbers; (r); (nv) */
+    double *M, *solved, *x, *state, *Y, *da, *db, *dq, *dv; /* (nv, nv); (nv, r); (nv, 2 nv + r) */
+    int64_t *pivot, *none;
+} Desk;
+
+static int64_t cut_desk(const Tree *t, const Model *m, char *memory, Desk *d)
+{
+    const int64_t nv = t->nv, numbers = 10 * t->joints + 5 * nv, width = 2 * nv + m->r;
+    int64_t used = 0;
+    V **lanes[] = {&d->rigid, &d->smooth, &d->beta, &d->torque, &d->rates, &d->a, &d->b, &d->tau,
+                   &d->q, &d->v};
+    double **plain[] = {&d->M, &d->solved, &d->x, &d->state, &d->Y,
+                        &d->da, &d->db, &d->dq, &d->dv};
+    const int64_t of_lanes[] = {numbers, numbers, m->r, 2 * nv, nv, nv, nv, nv, nv, nv};
+    const int64_t of_plain[] = {nv * nv, nv * nv, nv, 4 * nv, nv * m->r,
+                                nv * width, nv * width, nv * width, nv * width};
+    for (size_t i = 0; i < sizeof lanes / sizeof *lanes; i++) {
+        *lanes[i] = (V *)(memory + used);
+        used += (int64_t)sizeof(V) * of_lanes[i];
+    }
+    for (size_t i = 0; i < sizeof plain / sizeof *plain; i++) {
+        *plain[i] = (double *)(memory + used);
+        used += (8 * of_plain[i] + 63) / 64 * 64;
+    }
+    d->pivot = (int64_t *)(memory + used);
+    d->none = d->pivot + nv;
+    return used + 8 * (nv + m->r);
+}
+
+EXPORT int64_t LEVELLED(model_work)(const Tree *t, const Model *m)
+{
+    Desk d;
+    return LEVELLED(work)(t) + 128 + cut_desk(t, m, NULL, &d);
+}
+
+static void set_up(const Tree *t, const Model *m, void *memory, Group *g, Desk *d)
+{
+    lay_out(t, g, memory);
+    char *after = (char *)memory + LEVELLED(work)(t);
+    cut_desk(t, m, (char *)(((uintptr_t)after + 63) & ~(uintptr_t)63), d);
+    memset(d->none, 0, 8 * (size_t)m->r);
+}
+
+/* Measured torque (nv) at sample k less the friction of beta, in lanes. */
+static void driving_torque(const Tree *t, const Model *m, int64_t k, const V *beta, V *tau)
+{
+    for (int64_t i = 0; i < t->nv; i++) {
+        const double *part = m->friction + (k * t->nv + i) * m->columns;
+        tau[i] = all(m->tau[k * t->nv + i]);
+        for (int64_t c = 0; c < m->columns; c++)
+            tau[i] -= part[c] * beta[m->column[c]];
+    }
+}
+
+/* Acceleration a (nv) of the plants in lanes at g->q and g->v, under the torque d->tau. */
+static int accelerate(const Tree *t, const Model *m, Group *g, Desk *d, int64_t at, V *a)
+{
+    I fine = (I){0} - 1;
+    dynamics(t, g);
+    for (int64_t j = 0; j < t->joints; j++) {
+        const int64_t i = t->vadr[j];
+        a[i] = d->tau[i] - g->bias[i] - term_torque(t, g, j);
+    }
+    if (!m->stands) {
+        factorise_with(t, g, NULL);
+        for (int64_t k = 0; k < t->nv; k++)
+            fine &= (g->L[g->row[k]] > 0.0) & (g->L[g->row[k]] < (double)INFINITY);
+        if (!any(~fine)) { /* positive definite: no pivots are needed */
+            solve(t, g, g->L, a);
+            return 1;
+        }
+    }
+    for (int64_t l = 0; l < LANES; l++) {
+        for (int64_t i = 0; i < t->nv; i++)
+            d->x[i] = a[i][l];
+        unpack(t, g, l, d->solved);
+        hold(t, m, at, d->solved, d->x);
+        if (!factorise_dense(t->nv, d->solved, d->pivot))
+            return 0;
+        solve_dense(t->nv, d->solved, d->pivot, 1, d->x);
+        for (int64_t i = 0; i < t->nv; i++)
+            a[i][l] = d->x[i];
+    }
+    return 1;
+}
+
+static int invert(const Tree *t, Desk *d, double *inverse)
+{
+    const int64_t nv = t->nv;
+    if (!factorise_dense(nv, d->M, d->pivot))
+        return 0;
+    memset(inverse, 0, 8 * (size_t)(nv * nv));
+    for (int64_t i = 0; i < nv; i++)
+        inverse[i * nv + i] = 1.0;
+    solve_dense(nv, d->M, d->pivot, nv, inverse);
+    return 1;
+}
+
+/* States (count, 2 nv + r), [q v beta], one sample after sample k by Heun's rule, into `moved`
+ * (count, 2 nv); M^-1 (nv, nv) of the first one before the step. */
+EXPORT int64_t LEVELLED(predict)(const Tree *t, const Model *m, int64_t count, int64_t k,
+                                 const double *states, double *moved, double *inverse, void *memory)
+{
+    Group g;
+    Desk d;
+    set_up(t, m, memory, &g, &d);
+    const int64_t nv = t->nv, width = 2 * nv + m->r;
+    const double h = m->dt / (double)m->substeps;
+    for (int64_t first = 0; first < count; first += LANES) {
+        const int64_t own = count - first < LANES ? count - first : LANES;
+        const double *x = states + first * width;
+        for (int64_t j = 0; j < m->r; j++)
+            d.beta[j] = gather(x + 2 * nv + j, width, own);
+        for (int64_t i = 0; i < 10 * t->joints + 5 * nv; i++)
+            d.rigid[i] = all(m->known[i]);
+        add_numbers(m, m->follows, d.rigid, d.beta);
+        use_numbers(t, &g, d.rigid);
+        driving_torque(t, m, k, d.beta, d.torque);
+        driving_torque(t, m, k + 1, d.beta, d.torque + nv);
+        for (int64_t i = 0; i < nv; i++)
+            d.q[i] = gather(x + i, width, own), d.v[i] = gather(x + nv + i, width, own);
+        for (int64_t part = 0; part < 2 * m->substeps; part++) {
+            const int end = part % 2;
+            const double share = (double)(part / 2 + end) / (double)m->substeps;
+            for (int64_t i = 0; i < nv; i++) {
+                d.tau[i] = d.torque[i] + share * (d.torque[nv + i] - d.torque[i]);
+                g.q[i] = end ? d.q[i] + h * d.v[i] + 0.5 * h * h * d.a[i] : d.q[i];
+                g.v[i] = end ? d.v[i] + h * d.a[i] : d.v[i];
+            }
+            if (!accelerate(t, m, &g, &d, k, end ? d.b : d.a))
+                return SINGULAR;
+            if (inverse && first == 0 && part == 0) {
+                unpack(t, &g, 0, d.M);
+                if (!invert(t, &d, inverse))
+                    return SINGULAR;
+            }
+            for (int64_t i = 0; end && i < nv; i++) { /* of linearly interpolated accelerations */
+                d.q[i] += h * d.v[i] + h * h / 6.0 * (2.0 * d.a[i] + d.b[i]);
+                d.v[i] += 0.5 * h * (d.a[i] + d.b[i]);
+            }
+        }
+        for (int64_t i = 0; i < nv; i++) {
+            if (any(~((size_of(d.q[i]) < m->far) & (size_of(d.v[i]) < m->far))))
+                return DIVERGED;
+            for (int64_t l = 0; l < own; l++) {
+                moved[(first + l) * 2 * nv + i] = d.q[i][l];
+                moved[(first + l) * 2 * nv + nv + i] = d.v[i][l];
+            }
+        }
+    }
+    return DONE;
+}
+
+/* Y (nv, r) at one state q, v (nv) and acceleration in all lanes of a: a base parameter in each lane. */
+static void columns(const Tree *t, const Model *m, Group *g, Desk *d, const V *a, double *Y)
+{
+    const int64_t numbers = 10 * t->joints + 5 * t->nv;
+    kinematics(t, g, a);
+    use_numbers(t, g, d->smooth);
+    for (int64_t first = 0; first < m->r; first += LANES) {
+        memset(d->smooth, 0, sizeof(V) * (size_t)numbers);
+        const int64_t own = m->r - first < LANES ? m->r - first : LANES;
+        for (int64_t l = 0; l < own; l++)
+            for (int64_t e = m->first[first + l]; e < m->first[first + l + 1]; e++)
+                d->smooth[m->place[e]][l] = m->weight[e];
+        inverse_dynamics(t, g, a, d->rates);
+        for (int64_t i = 0; i < t->nv; i++)
+            for (int64_t l = 0; l < own; l++)
+                Y[i * m->r + first + l] = d->rates[i][l];
+    }
+}
+
+/* Base regressor Y (nv, r) and torque (nv) of the known numbers at one sample q, v, a (nv). */
+EXPORT int64_t LEVELLED(model_rows)(const Tree *t, const Model *m, const double *q, const double *v,
+                                    const double *a, double *Y, double *known, void *memory)
+{
+    Group g;
+    Desk d;
+    set_up(t, m, memory, &g, &d);
+    for (int64_t i = 0; i < t->nv; i++)
+        g.q[i] = all(q[i]), g.v[i] = all(v[i]), d.a[i] = all(a[i]);
+    columns(t, m, &g, &d, d.a, Y);
+    for (int64_t i = 0; i < 10 * t->joints + 5 * t->nv; i++)
+        d.smooth[i] = all(m->known[i]);
+    inverse_dynamics(t, &g, d.a, d.rates);
+    for (int64_t i = 0; i < t->nv; i++)
+        known[i] = d.rates[i][0];
+    return DONE;
+}
+
+/* Acceleration a (nv) at one state and its derivative da (nv, width), of a state with the derivatives
+ * dq and dv; `share`: how far from sample `at` to the next. */
+static int slopes(const Tree *t, const Model *m, Group *g, Desk *d, int64_t at, double share,
+                  const double *q, const double *v, const double *dq, const double *dv, double *a,
+                  double *da)
+{
+    const int64_t nv = t->nv, width = 2 * nv + m->r, numbers = 10 * t->joints + 5 * nv;
+    for (int64_t i = 0; i < nv; i++) {
+        g->q[i] = all(q[i]), g->v[i] = all(v[i]);
+        d->tau[i] = d->torque[i] + share * (d->torque[nv + i] - d->torque[i]);
+    }
+    use_numbers(t, g, d->rigid);
+    dynamics(t, g);
+    for (int64_t j = 0; j < t->joints; j++) {
+        const int64_t i = t->vadr[j];
+        a[i] = (d->tau[i] - g->bias[i] - term_torque(t, g, j))[0];
+    }
+    unpack(t, g, 0, d->M);
+    memcpy(d->solved, d->M, 8 * (size_t)(nv * nv));
+    hold(t, m, at, d->solved, a);
+    if (!factorise_dense(nv, d->solved, d->pivot))
+        return 0;
+    solve_dense(nv, d->solved, d->pivot, 1, a);
+    for (int64_t i = 0; i < nv; i++)
+        d->a[i] = all(a[i]);
+    columns(t, m, g, d, d->a, d->Y);
+    for (int64_t i = 0; i < numbers; i++)
+        d->smooth[i] = all(m->known[i]);
+    add_numbers(m, m->jumping, d->smooth, d->beta);
+    memset(da, 0, 8 * (size_t)(nv * width));
+    /* The torque at the state, and at 2 nv states beside it: one in each lane. */
+    for (int64_t first = 0; first <= 2 * nv; first += LANES) {
+        for (int64_t i = 0; i < nv; i++) {
+            g->q[i] = all(q[i]), g->v[i] = all(v[i]);
+            if (i + 1 >= first && i + 1 < first + LANES)
+                g->q[i][i + 1 - first] += m->nudge;
+            if (nv + i + 1 >= first && nv + i + 1 < first + LANES)
+                g->v[i][nv + i + 1 - first] += m->nudge;
+        }
+        kinematics(t, g, d->a);
+        inverse_dynamics(t, g, d->a, d->rates);
+        for (int64_t i = 0; i < nv; i++) {
+            if (first == 0)
+                d->x[i] = d->rates[i][0];
+            for (int64_t l = first == 0; l < LANES && first + l <= 2 * nv; l++) {
+                const double slope = (d->rates[i][l] - d->x[i]) / m->nudge;
+                const int64_t by = (first + l - 1) % nv;
+                const double *of = (first + l <= nv ? dq : dv) + by * width;
+                for (int64_t c = 0; c < width; c++)
+                    da[i * width + c] += slope * of[c];
+            }
+        }
+    }
+    for (int64_t i = 0; i < nv; i++) {
+        const double *here = m->friction + (at * nv + i) * m->columns, *next = here + nv * m->columns;
+        for (int64_t c = 0; c < m->columns; c++)
+            d->Y[i * m->r + m->column[c]] = (1.0 - share) * here[c] + share * next[c];
+        for (int64_t c = 0; c < m->r; c++)
+            da[i * width + 2 * nv + c] += d->Y[i * m->r + c];
+        const int64_t k = at * nv + i;
+        if (m->stands && m->standing[k] && m->standing[k + nv]) /* whatever state and beta are */
+            memset(da + i * width, 0, 8 * (size_t)width);
+    }
+    solve_dense(nv, d->solved, d->pivot, width, da);
+    for (int64_t i = 0; i < nv * width; i++)
+        da[i] = -da[i];
+    return 1;
+}
+
+/* States q, v (count, nv) of one beta (r) and their derivatives dq, dv (count, nv, 2 nv + r), one
+ * sample after the samples `at` (count) by Heun's rule, in place; M^-1 (nv, nv) of the first one. */
+EXPORT int64_t LEVELLED(sensitivities)(const Tree *t, const Model *m, int64_t count,
+                                       const int64_t *at, const double *beta, double *q, double *v,
+                                       double *dq, double *dv, double *inverse, void *memory)
+{
+    Group g;
+    Desk d;
+    set_up(t, m, memory, &g, &d);
+    const int64_t nv = t->nv, size = nv * (2 * nv + m->r);
+    const double h = m->dt / (double)m->substeps, half = 0.5 * h * h, sixth = h * h / 6.0;
+    double *a = d.state, *b = a + nv, *q1 = b + nv, *v1 = q1 + nv;
+    for (int64_t j = 0; j < m->r; j++)
+        d.beta[j] = all(beta[j]);
+    for (int64_t i = 0; i < 10 * t->joints + 5 * nv; i++)
+        d.rigid[i] = all(m->known[i]);
+    add_numbers(m, m->follows, d.rigid, d.beta);
+    for (int64_t s = 0; s < count; s++, q += nv, v += nv, dq += size, dv += size) {
+        driving_torque(t, m, at[s], d.beta, d.torque);
+        driving_torque(t, m, at[s] + 1, d.beta, d.torque + nv);
+        for (int64_t part = 0; part < m->substeps; part++) {
+            const double from = (double)part / (double)m->substeps;
+            const double to = (double)(part + 1) / (double)m->substeps;
+            if (!slopes(t, m, &g, &d, at[s], from, q, v, dq, dv, a, d.da))
+                return SINGULAR;
+            if (inverse && s == 0 && part == m->substeps - 1 && !invert(t, &d, inverse))
+                return SINGULAR;
+            for (int64_t i = 0; i < nv; i++) {
+                q1[i] = q[i] + h * v[i] + half * a[i];
+                v1[i] = v[i] + h * a[i];
+            }
+            for (int64_t i = 0; i < size; i++) {
+                d.dq[i] = dq[i] + h * dv[i] + half * d.da[i];
+                d.dv[i] = dv[i] + h * d.da[i];
+            }
+            if (!slopes(t, m, &g, &d, at[s], to, q1, v1, d.dq, d.dv, b, d.db))
+                return SINGULAR;
+            for (int64_t i = 0; i < nv; i++) {
+                q[i] += h * v[i] + sixth * (2.0 * a[i] + b[i]);
+                v[i] += 0.5 * h * (a[i] + b[i]);
+            }
+            for (int64_t i = 0; i < size; i++) {
+                dq[i] += h * dv[i] + sixth * (2.0 * d.da[i] + d.db[i]);
+                dv[i] += 0.5 * h * (d.da[i] + d.db[i]);
+            }
+        }
+    }
+    return DONE;
 }
 
 #ifdef SOURCE_HASH

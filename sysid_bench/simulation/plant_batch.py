@@ -5,10 +5,11 @@ numbers of force laws and inputs are their own. Written from the equations of mo
 MuJoCo, which simulates what is not covered; `uncovered` says why."""
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import mujoco
@@ -129,8 +130,6 @@ class PlantBatch:
     def _tree(self) -> "_Tree":
         """C struct of the tree, motors and options that all plants share."""
         mj, drive, laws = self.mj, self.drive, self.plants[0].laws
-        frames = frames_of(self.plants[0].robot.tree)
-        joints = frames.joints
         implicit = mj.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         damps = not mj.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
         at_end = ALL_DAMPERS if implicit else DAMPERS if damps else EXPLICIT
@@ -140,36 +139,20 @@ class PlantBatch:
         rates, shares = _stick(mj)
         states = start_states(laws, np.zeros(mj.nv), np.zeros(mj.nv)).states
         whole = {
-            "kind": [joint.kind for joint in joints],
-            "before": frames.before,
-            "qadr": [joint.qadr for joint in joints],
-            "vadr": [joint.vadr for joint in joints],
             "motor": drive.dofs,
             "motor_place": mj.jnt_qposadr[mj.dof_jntid[drive.dofs]],
             "law_kind": [KINDS[law.kind] for law in laws],
             "law_numbers": [np.size(law.numbers) for law in laws],
             "law_states": [len(state) for state in states],
         }
-        real = {
-            "R0": frames.R0,
-            "p0": frames.p0,
-            "q0": [joint.q0 for joint in joints],
-            "gravity": self.plants[0].robot.tree.gravity,
-            # At the reference of MuJoCo's springs, by degree of freedom
-            "spring_reference": mj.qpos_spring[mj.jnt_qposadr[mj.dof_jntid]],
-            "stick_rate": rates,
-            "stick_share": shares,
-        }
-        arrays = {name: np.ascontiguousarray(x, np.int64) for name, x in whole.items()}
-        arrays |= {name: np.ascontiguousarray(x, float) for name, x in real.items()}
-        made = _Tree(
-            joints=len(joints), nq=mj.nq, nv=mj.nv, nu=len(drive.dofs), laws=len(laws),
-            input=INPUTS[drive.input], elastic=elastic, at_end=at_end, records_end=records_end,
+        # At the reference of MuJoCo's springs, by degree of freedom
+        springs = mj.qpos_spring[mj.jnt_qposadr[mj.dof_jntid]]
+        return tree_in_c(
+            self.plants[0].robot.tree, springs, whole, {"stick_rate": rates, "stick_share": shares},
+            nu=len(drive.dofs), laws=len(laws), input=INPUTS[drive.input], elastic=elastic,
+            at_end=at_end, records_end=records_end,
             needs_start=at_end != EXPLICIT and (bool(laws) or not records_end),
-            **{name: x.ctypes.data for name, x in arrays.items()},
         )  # fmt: skip
-        made.arrays = arrays  # C sees addresses alone
-        return made
 
     def _numbers(self) -> Array:
         """Numbers of each plant (K, ...) in the order of lanes.c."""
@@ -282,6 +265,40 @@ def frames_of(tree: Tree) -> Frames:
         for b in np.flatnonzero(tree.carrier == len(last) - 1):
             X[at, :, b] = own @ tree.X[b]
     return Frames(joints, before, np.array(R0), np.array(p0), X)
+
+
+def tree_in_c(
+    tree: Tree,
+    spring_reference: Array,
+    whole: Mapping[str, Any] = MappingProxyType({}),
+    real: Mapping[str, Any] = MappingProxyType({}),
+    **numbers: int,
+) -> "_Tree":
+    """Return the C struct of a tree with the references of its springs (nv,), and of what moves it:
+    arrays of whole and of real numbers, and numbers."""
+    frames = frames_of(tree)
+    joints = frames.joints
+    whole = {
+        "kind": [joint.kind for joint in joints],
+        "before": frames.before,
+        "qadr": [joint.qadr for joint in joints],
+        "vadr": [joint.vadr for joint in joints],
+        **whole,
+    }
+    real = {
+        "R0": frames.R0,
+        "p0": frames.p0,
+        "q0": [joint.q0 for joint in joints],
+        "gravity": tree.gravity,
+        "spring_reference": spring_reference,
+        **real,
+    }
+    arrays = {name: np.ascontiguousarray(x, np.int64) for name, x in whole.items()}
+    arrays |= {name: np.ascontiguousarray(x, float) for name, x in real.items()}
+    addresses = {name: x.ctypes.data for name, x in arrays.items()}
+    made = _Tree(joints=len(joints), nq=tree.nq, nv=tree.nv, **addresses, **numbers)
+    made.arrays = arrays  # C sees addresses alone
+    return made
 
 
 def _axes(joint: TreeJoint) -> Array:

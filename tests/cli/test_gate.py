@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 import sysid_bench
-from sysid_bench.commands.baseline import cell_text
+from sysid_bench.commands.gate import cell_text
 from sysid_bench.commands.run_folder import open_run
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.comparison.baseline import baseline_of, from_text, to_text

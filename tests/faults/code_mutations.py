@@ -35,7 +35,7 @@ GROUPS: Final[dict[str, tuple[str, str]]] = {
     ),
     "gate": (
         "harness/comparison/baseline.py harness/comparison/drift.py commands/baseline.py "
-        "models/behaviour.py models/behaviour_change.py",
+        "commands/gate.py models/behaviour.py models/behaviour_change.py",
         "tests/comparison/test_baseline.py tests/comparison/test_drift.py "
         "tests/models/test_behaviour.py tests/cli/test_gate.py",
     ),

@@ -16,21 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.commands.status import status
-from sysid_bench.harness import frames as consolidation
+from sysid_bench.harness import consolidate as consolidation
 from sysid_bench.harness import stored_run
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.frames import (
-    COVERAGE_FILE,
-    FRAMES,
-    HEAD,
-    FrameFiles,
-    Frames,
-    PlannedFields,
-    RowCounts,
-    build_frames,
-    data_frames,
-    read_coverage,
-)
+from sysid_bench.harness.consolidate import PlannedFields, build_frames
+from sysid_bench.harness.coverage import COVERAGE_FILE, HEAD, FrameFiles, RowCounts, read_coverage
+from sysid_bench.harness.frames import FRAMES, Frames, data_frames
 from sysid_bench.harness.plan import cells_of_suite, offset_by_cell
 from sysid_bench.harness.stored_run import RunFolder, frames_of_run
 from sysid_bench.harness.work.row_files import (
@@ -177,7 +168,7 @@ def test_counts_of_many_kinds_are_not_stored(
 ) -> None:
     store_rows(run, 1)
     wanted = status(run.path)
-    monkeypatch.setattr("sysid_bench.harness.frames._MOST_KINDS", 0)
+    monkeypatch.setattr("sysid_bench.harness.consolidate._MOST_KINDS", 0)
     for turn in range(2):
         run.write_frames()
         coverage = read_coverage(run.path, row_files(run.path / "cells"))

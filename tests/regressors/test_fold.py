@@ -9,7 +9,7 @@ from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.numerics import qr_factor
 from sysid_bench.regressors import kernel_numpy as kernel
-from sysid_bench.regressors.block_qr import dense_blocks, motion_factors
+from sysid_bench.regressors.block_qr import MotionBlocks, motion_factors
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array
 from tests.robots import named_robot, random_robot, relative_gap, robot_of, states
@@ -63,7 +63,7 @@ def test_dense_blocks_are_the_rows_again(robot: RobotModel, kernel_name: str) ->
     ours = regression(robot, robot.inertial_columns)
     motion = states(robot, 1025)
     b = np.random.default_rng(0).normal(size=(1025, robot.nv))
-    parts = list(dense_blocks(ours, motion, b))
+    parts = list(MotionBlocks(ours, motion, b, tuple(range(robot.nv)))())
     assert len(parts) == 2
     Y = ours.dense(motion).Y
     np.testing.assert_array_equal(np.concatenate([block for block, _ in parts]), Y)

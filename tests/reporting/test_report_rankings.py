@@ -404,7 +404,7 @@ def test_answers_are_the_same_up_to_a_ten_thousandth(share: float, is_copy: bool
 def test_a_method_that_depends_on_link_frames_is_not_ranked() -> None:
     """Nor counted in the correction; tables and rankings say which, and why."""
     cells, reason = fabricate(), "it favours an axis"
-    cells["frame_dependent"] = np.where(cells["estimator"] == "poor", reason, None)
+    cells["frame_dependent"] = cells["estimator"].map({"poor": reason})
     [ranking] = ranked(cells, family=["good", "poor"])
     assert "poor" not in ranking.method_names
     assert ranking.verdicts == 1

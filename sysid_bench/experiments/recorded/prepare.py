@@ -40,6 +40,7 @@ from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_of
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.simulation.candidate import Candidate, KnownModel, kinematics_of
+from sysid_bench.simulation.forward_steps import ForwardModel
 from sysid_bench.types import Array, Experiment, Problem, Recording, Trajectory
 from sysid_bench.units import quantity
 
@@ -221,6 +222,7 @@ def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLo
     the closed loop where the log declares its controller."""
     unknowns, robot = builder.unknowns, first.robot
     simulate: Callable[..., Recording]
+    forward: ForwardModel | None = None
     if first.log.recording.controller is not None and unknowns.extra:
         simulate = partial(_refuse, unknowns.extra)
     else:
@@ -232,6 +234,7 @@ def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLo
             kinematics_of(robot), unknowns.parameters, unknowns.bodies, links, {}, none
         )
         simulate = SimulatedModel(model, first.log.recording, Candidate())
+        forward = ForwardModel(model, problem.base.pivots)
     return Experiment(
         problem=problem,
         recording=first.recording,
@@ -241,6 +244,7 @@ def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLo
         known=partial(_known_torque, builder, first),
         filter_rows=builder.rows_along(first).processed,
         moving=builder.rows_along(replace(first, rows=MOVING)).weights > 0.0,
+        forward=forward,
     )
 
 

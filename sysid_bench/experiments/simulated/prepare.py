@@ -28,6 +28,7 @@ from sysid_bench.experiments.simulated.record import (
     SampledRecording,
     SimulatedRobot,
     record,
+    record_all,
     recordings_of,
 )
 from sysid_bench.experiments.simulated.sealed_robot import robot_of_plant
@@ -42,6 +43,7 @@ from sysid_bench.models.sensor import instruments_of, subtree_at
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.signals.filter import NoFilter
 from sysid_bench.simulation.candidate import Candidate
+from sysid_bench.simulation.forward_steps import ForwardModel
 from sysid_bench.types import Array, Experiment, Problem, Recording, Run
 from sysid_bench.units import interval
 
@@ -90,10 +92,12 @@ def _experiment(
     rows, measured = builder.row_indices, measured_signals(recording)
     simulate: Callable[..., Recording] = check_simulation
     known: Callable[[Any], Array] = check_simulation
+    forward: ForwardModel | None = None
     if not noise_free.task.cuts:
         candidate = Candidate(**(noise_free.spec.candidate or {}))
         simulate = SimulatedModel(noise_free.known_model, sampled.raw, candidate)
         known = KnownTorque(noise_free.known_model, rows)
+        forward = ForwardModel(noise_free.known_model, builder.base.pivots)
     along = builder.rows_along(recording.motion, sampled.rows, sampled.free)
     return Experiment(
         problem=builder.build(recording.motion, measured, noise_free.prior, along),
@@ -104,6 +108,7 @@ def _experiment(
         known=known,
         runs=runs,
         filter_rows=along.processed,
+        forward=forward,
     )
 
 
@@ -154,8 +159,7 @@ def _recorded_motions(
             "motion for every seed. Choose one that draws it, as 'fourier', or motions = 1."
         )
     further = (Repetition(i, True, motion_noise_seed(spec, i)) for i in range(1, spec.motions))
-    order = [first, *further]
-    return [record(spec, robot, one) for robot, one in zip(robots, order, strict=True)]
+    return record_all(spec, robots, [first, *further])
 
 
 def _runs(

@@ -3,7 +3,7 @@ may call: regressor, known torque and simulation, without access to the ground t
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from sysid_bench.experiments.processed_rows import (
 from sysid_bench.experiments.tasks.task import Task
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, instruments_of
-from sysid_bench.regressors.block_qr import dense_blocks, motion_factors
+from sysid_bench.regressors.block_qr import MotionBlocks, motion_factors
 from sysid_bench.regressors.kernel_numpy import blocks, motion_part, newton_euler
 from sysid_bench.regressors.regression import TERM, Regression
 from sysid_bench.regressors.sensor_offset import MeasuredRegressor
@@ -96,7 +96,7 @@ class ProblemBuilder:
             rows=self.row_names,
             factors=(),
             bodies=self.task.bodies,
-            blocks=partial(dense_blocks, self.regression, whole, b, self.row_indices),
+            blocks=MotionBlocks(self.regression, whole, b, tuple(self.row_indices)),
             samples=len(motion),
             prior=prior,
             kinds=tuple(self.instruments.kinds[i] for i in self.row_indices),

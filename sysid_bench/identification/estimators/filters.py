@@ -9,9 +9,15 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.linear.least_squares import dense_rows, solve, stacked_factor
+from sysid_bench.identification.simulation_based.compiled_filters import (
+    INDEFINITE,
+    filters_library,
+    run_filter,
+)
 from sysid_bench.identification.simulation_based.forward_model import (
     AccelerationModel,
     SensitivityModel,
+    compiled_steps,
     scalar_joints,
     start_state,
 )
@@ -186,9 +192,20 @@ class _NonlinearFilter(ABC):
         diverges, UnsupportedError for joints without scalar positions."""
         model = joint_filter(experiment, f"The {type(self).__name__}", self.substeps)
         start = belief = model.measured(model.start(), 0)
+        unscented = self._unscented(len(start.mean))
+        steps = compiled_steps(model.forward, model.measured_motion) if filters_library() else None
+        if steps is not None:
+            noise, state = (model.q_noise, model.tau_noise), (start.mean, start.covariance)
+            belief = FilterEstimate(*run_filter(steps, model.q, noise, state, unscented))
+            return model.result(belief, start)
         for k in range(len(model.q) - 1):
             belief = model.measured(self._predicted(model, belief, k), k + 1)
         return model.result(belief, start)
+
+    def _unscented(self, size: int) -> tuple[float, float] | None:
+        """Spread of sigma points and further weight of their centre for states of a size; None
+        for a filter without."""
+        return None
 
     @abstractmethod
     def _predicted(self, model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
@@ -254,6 +271,21 @@ class UKF(_NonlinearFilter):
         if not self.alpha > 0:
             raise UsageError(f"alpha = {self.alpha}: give a positive number.")
 
+    def _unscented(self, size: int) -> tuple[float, float] | None:
+        return self.weights(size)
+
+    def weights(self, size: int) -> tuple[float, float]:
+        """Return the spread L + lambda of states of a size, and the further weight of the centre.
+
+        Raises UsageError for a kappa that leaves no spread.
+        """
+        spread = self.alpha**2 * (size + self.kappa)  # L + lambda
+        if spread <= 0:
+            raise UsageError(
+                f"kappa = {self.kappa}: give a number above {-size}, minus the states."
+            )
+        return spread, self.beta - self.alpha**2
+
     def _predicted(self, model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
         mean, P = self.transform(
             lambda points: model.step(points, k), belief.mean, belief.covariance
@@ -267,9 +299,7 @@ class UKF(_NonlinearFilter):
         """Mean (m,) and covariance (m, m) of function(x) for x of a mean (k,) and a covariance
         (k, k); the function takes points (S, k) and gives (S, m)."""
         L = len(mean)
-        spread = self.alpha**2 * (L + self.kappa)  # L + lambda
-        if spread <= 0:
-            raise UsageError(f"kappa = {self.kappa}: give a number above {-L}, minus the states.")
+        spread, further = self.weights(L)
         root = np.sqrt(spread) * _root(covariance).T
         points = function(mean + np.concatenate([np.zeros((1, L)), root, -root]))
         weights = np.full(2 * L + 1, 0.5 / spread)
@@ -278,7 +308,7 @@ class UKF(_NonlinearFilter):
         away = points - points[0]
         shift = weights @ away
         away = away - shift
-        weights[0] += 1 - self.alpha**2 + self.beta
+        weights[0] += 1 + further
         return points[0] + shift, (away.T * weights) @ away
 
 
@@ -293,6 +323,4 @@ def _root(P: Array) -> Array:
             return scale[:, None] * np.linalg.cholesky(even + share * np.eye(len(P)))
         except np.linalg.LinAlgError:
             continue
-    raise EstimationError(
-        "The filter's covariance is not positive definite: the noise is too large."
-    )
+    raise EstimationError(INDEFINITE)

@@ -10,13 +10,13 @@ from scipy.special import chdtr, chdtri
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.least_squares import row_ranks, with_floor
+from sysid_bench.identification.linear.refined_fit import fixed_point, refined_m_estimate
 from sysid_bench.identification.linear.reweighted_rows import (
     Loss,
     StreamedRows,
     Weighting,
     m_estimate,
     m_estimate_result,
-    reweighted_fit,
     row_scale,
     streamed_rows,
 )
@@ -42,7 +42,9 @@ class Huber:
         every direction."""
         rows, start = streamed_rows(problem)
         loss = huber_loss(self.cut)
-        return m_estimate_result(rows, loss, *m_estimate(rows, loss, start, self.iterations))
+        fit = refined_m_estimate(rows, [loss], start, self.iterations)
+        fit = fit or m_estimate(rows, loss, start, self.iterations)
+        return m_estimate_result(rows, loss, *fit)
 
 
 def huber_loss(cut: float) -> Loss:
@@ -72,10 +74,12 @@ class Tukey:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
         every direction."""
         rows, start = streamed_rows(problem)
-        first, scales = m_estimate(rows, huber_loss(Huber.cut), start, self.iterations)
-        loss = tukey_loss(self.cut)
-        fit = m_estimate(rows, loss, first.beta, self.iterations, scales)
-        return m_estimate_result(rows, loss, *fit)
+        losses = [huber_loss(Huber.cut), tukey_loss(self.cut)]
+        fit = refined_m_estimate(rows, losses, start, self.iterations)
+        if fit is None:
+            first, scales = m_estimate(rows, losses[0], start, self.iterations)
+            fit = m_estimate(rows, losses[1], first.beta, self.iterations, scales)
+        return m_estimate_result(rows, losses[1], *fit)
 
 
 def tukey_loss(cut: float) -> Loss:
@@ -89,6 +93,10 @@ def tukey_loss(cut: float) -> Loss:
 
 HOLD_AFTER = 10
 """Iterations after which the set of rejected samples is held: it could alternate forever."""
+
+HOLD_STEP = 0.03
+"""Step, in standard deviations, after which it is held as well: of some 10,000 samples or more, few
+that are at the edge of the set change the estimate by as much."""
 
 
 @dataclass(frozen=True)
@@ -113,44 +121,71 @@ class IRLS:
         acting = row_ranks(problem)
         felt = acting > 0
         k = int(felt.sum())
-        # Chi-square of k Gaussian variables that is exceeded as often as `cut` by one of them, and
-        # the share of their variance within it.
+        # Chi-square of k Gaussian variables that is exceeded as often as `cut` by one of them.
         farthest = float(chdtri(k, erfc(self.cut / sqrt(2)))) if self.cut < 30 else np.inf
-        share = float(chdtr(k + 2, farthest) / chdtr(k, farthest)) if farthest < np.inf else 1.0
-        # Robust scales first: in a plain covariance an outlier would hide itself.
-        whiten = np.diag(1 / row_scale(rows, beta)[felt])
-        counted = np.ones(problem.samples, dtype=bool)
 
-        def weigh(beta: Array, iteration: int) -> Weighting:
-            nonlocal whiten
-            products, used = np.zeros((k, k)), 0
-            for start, e in rows.residuals(beta):
-                e, part = e[:, felt], slice(start, start + len(e))
-                if iteration <= HOLD_AFTER:
-                    counted[part] = ((e @ whiten.T) ** 2).sum(axis=1) <= farthest
-                kept = e[counted[part]]
-                products += kept.T @ kept
-                used += int(np.count_nonzero(kept.any(axis=1)))
-            whiten = _whitening(problem, acting, products / share, used)
-            return _whitened_across(whiten, felt, counted)
+        def weights(some: StreamedRows, beta: Array) -> _AcrossJoints:
+            # Robust scales first: in a plain covariance an outlier would hide itself.
+            whiten = np.diag(1 / row_scale(some, beta)[felt])
+            return _AcrossJoints(some.problem, acting, farthest, whiten)
 
-        fit = reweighted_fit(rows, beta, self.iterations, weigh, HOLD_AFTER)
-        rejected = float(len(counted) - counted.sum())
-        return fit.estimate(rows.covariance(fit.beta, fit.weighting), {"left_out": rejected})
+        fit, part, used = fixed_point(rows, beta, self.iterations, weights, hold_after=HOLD_AFTER)
+        rejected = float(problem.samples - used.counted.sum())
+        return fit.estimate(rows.covariance(fit.beta, fit.weighting, part), {"left_out": rejected})
 
 
-def _whitened_across(whiten: Array, felt: Array, counted: Array) -> Weighting:
-    """Samples whitened across the joints that are `felt`, without those that are not counted."""
+class _AcrossJoints:
+    """Weights of samples whitened by the covariance of their residuals, without those whose squares
+    are above `farthest`; these are held after HOLD_AFTER changes."""
 
-    def values(e: Array, start: int) -> Array:
-        weighted = np.zeros_like(e)
-        weighted[:, felt] = e[:, felt] @ whiten.T @ whiten
-        return np.asarray(weighted * counted[start : start + len(e), None])
+    def __init__(self, problem: Problem, acting: Array, farthest: float, whiten: Array) -> None:
+        self.problem, self.acting, self.farthest, self.whiten = problem, acting, farthest, whiten
+        self.felt, k = acting > 0, len(whiten)  # rank of each row; zero where nothing acts
+        # The share of the variance of k Gaussian variables within `farthest`.
+        self.share = (
+            float(chdtr(k + 2, farthest) / chdtr(k, farthest)) if farthest < np.inf else 1.0
+        )
+        self.counted = np.ones(problem.samples, dtype=bool)
+        self.changes, self.held = 0, False
+        self.products, self.used = np.zeros((k, k)), 0
 
-    def rows(Q: Array, _: Array, samples: Array) -> Array:
-        return np.asarray(whiten @ Q[counted[samples]][:, felt])
+    def see(self, e: Array, start: int) -> None:
+        """Take in residuals e (n, rows)."""
+        e, part = e[:, self.felt], slice(start, start + len(e))
+        if not self.held:
+            self.counted[part] = ((e @ self.whiten.T) ** 2).sum(axis=1) <= self.farthest
+        kept = e[self.counted[part]]
+        self.products += kept.T @ kept
+        self.used += int(np.count_nonzero(kept.any(axis=1)))
 
-    return Weighting(values, rows)
+    def change(self, step: float = np.inf) -> None:
+        """Whiten by the covariance of the residuals seen since the last call."""
+        self.whiten = _whitening(self.problem, self.acting, self.products / self.share, self.used)
+        self.changes += 1
+        self.held = self.held or self.changes >= HOLD_AFTER or step < HOLD_STEP
+        self.products, self.used = np.zeros_like(self.products), 0
+
+    def of(self, problem: Problem) -> "_AcrossJoints":
+        """The same whitening for the samples of another problem."""
+        return _AcrossJoints(problem, self.acting, self.farthest, self.whiten)
+
+    def weighting(self) -> Weighting:
+        """The weights of now."""
+        whiten, felt, counted = self.whiten, self.felt, self.counted
+
+        def values(e: Array, start: int) -> Array:
+            weighted = np.zeros_like(e)
+            weighted[:, felt] = e[:, felt] @ whiten.T @ whiten
+            return np.asarray(weighted * counted[start : start + len(e), None])
+
+        def rows(Q: Array, e: Array, samples: Array | None) -> Array:
+            if samples is None:
+                used = ((e[:, felt] @ whiten.T) ** 2).sum(axis=1) <= self.farthest
+            else:
+                used = counted[samples]
+            return np.asarray(whiten @ Q[used][:, felt])
+
+        return Weighting(values, rows)
 
 
 def _whitening(problem: Problem, acting: Array, products: Array, used: int) -> Array:
@@ -160,7 +195,7 @@ def _whitening(problem: Problem, acting: Array, products: Array, used: int) -> A
     The symmetric root treats all joints alike; a floor above rounding keeps the covariance of exact
     data regular.
     """
-    felt = acting > 0  # rank of each row
+    felt = acting > 0
     freedom = np.maximum(used - acting[felt], 1.0)
     floor = with_floor(problem, np.zeros(len(problem.factors)))[felt]
     deviations = np.sqrt(np.diag(products) / freedom + floor**2)
@@ -227,38 +262,64 @@ class ArGls:
                 "longer motion, or use the method 'wls'."
             )
         rows, beta = streamed_rows(problem)
-        # Rank of each row, since its columns depend on the choice of base parameters, and
-        # coefficients of its filter are estimated from its samples.
-        acting = row_ranks(problem)
-        freedom = np.maximum(problem.samples - 2 * self.order - acting, 1)
-        taps = np.zeros((len(acting), self.order + 1))
 
-        def weigh(beta: Array, _: int) -> Weighting:
-            nonlocal taps
-            lags, products = _moments(rows, beta, self.order)
-            taps = np.array([_whitening_filter(of_row) for of_row in lags])
-            # Squares of the filtered residual: a quadratic form of its moments.
-            squares = np.maximum(np.einsum("jk,jkl,jl->j", taps, products, taps), 0.0)
-            return _whitened_in_time(taps, with_floor(problem, np.sqrt(squares / freedom)))
+        def weights(some: StreamedRows, _: Array) -> _InTime:
+            return _InTime(some.problem, self.order)
 
-        fit = reweighted_fit(rows, beta, self.iterations, weigh)
-        poles = [float(np.abs(np.roots(tap)).max(initial=0.0)) for tap in taps]
-        spread = rows.covariance(fit.beta, fit.weighting)
+        fit, part, used = fixed_point(rows, beta, self.iterations, weights, overlap=self.order)
+        poles = [float(np.abs(np.roots(tap)).max(initial=0.0)) for tap in used.taps]
+        spread = rows.covariance(fit.beta, fit.weighting, part)
         return fit.estimate(spread, {"largest_pole": max(poles)})
 
 
-def _moments(rows: StreamedRows, beta: Array, order: int) -> tuple[Array, Array]:
-    """Autocorrelations (rows, order + 1) of the residuals, sums over N - k products, and the sums
-    (rows, order + 1, order + 1) of e_(t - k) e_(t - l) over t >= order."""
-    count = len(rows.problem.rows)
-    lags, products = np.zeros((count, order + 1)), np.zeros((count, order + 1, order + 1))
-    for start, e in rows.residuals(beta, overlap=order):
+class _InTime:
+    """Weights of samples whitened by an AR model of each row's residuals."""
+
+    def __init__(self, problem: Problem, order: int) -> None:
+        self.problem, self.order = problem, order
+        # The rank of each row and the coefficients of its filter are estimated from its samples;
+        # the number of its columns depends on the choice of base parameters.
+        acting = row_ranks(problem)
+        self.freedom = np.maximum(problem.samples - 2 * order - acting, 1)
+        self.taps, self.sigma = np.zeros((len(acting), order + 1)), np.ones(len(acting))
+        self._restart()
+
+    def _restart(self) -> None:
+        # Autocorrelations of the residuals, sums over N - k products, and the sums of
+        # e_(t - k) e_(t - l) over t >= order.
+        self.lags = np.zeros_like(self.taps)
+        self.products = np.zeros((len(self.taps), self.order + 1, self.order + 1))
+
+    def see(self, e: Array, start: int) -> None:
+        """Take in residuals e (n, rows), which begin with the last `order` ones of the block
+        before."""
+        order = self.order
         if len(e) > order:
             if start == 0:  # samples that have no `order` samples before them
-                lags += [[x[k:] @ x[: len(x) - k] for k in range(order + 1)] for x in e[:order].T]
+                first = [[x[k:] @ x[: len(x) - k] for k in range(order + 1)] for x in e[:order].T]
+                self.lags += first
             shifted = np.stack([e[order - k : len(e) - k].T for k in range(order + 1)], axis=1)
-            products += shifted @ shifted.transpose(0, 2, 1)
-    return lags + products[:, 0], products
+            self.products += shifted @ shifted.transpose(0, 2, 1)
+
+    def change(self, step: float = np.inf) -> None:
+        """Model the residuals seen since the last call."""
+        lags = self.lags + self.products[:, 0]
+        self.taps = np.array([_whitening_filter(of_row) for of_row in lags])
+        # Squares of the filtered residual: a quadratic form of its moments.
+        squares = np.einsum("jk,jkl,jl->j", self.taps, self.products, self.taps)
+        self._restart()
+        noise = np.sqrt(np.maximum(squares, 0.0) / self.freedom)
+        self.sigma = with_floor(self.problem, noise)
+
+    def of(self, problem: Problem) -> "_InTime":
+        """The same model for the samples of another problem."""
+        other = _InTime(problem, self.order)
+        other.taps, other.sigma = self.taps, self.sigma
+        return other
+
+    def weighting(self) -> Weighting:
+        """The weights of now."""
+        return _whitened_in_time(self.taps, self.sigma)
 
 
 def _whitening_filter(lags: Array) -> Array:
@@ -281,7 +342,7 @@ def _whitened_in_time(taps: Array, sigma: Array) -> Weighting:
             v[order - k : order - k + len(white)] += taps[:, k] * white
         return v
 
-    def rows(Q: Array, _e: Array, _at: Array) -> Array:
+    def rows(Q: Array, _e: Array, _at: Array | None) -> Array:
         return _filtered(Q, (taps / sigma[:, None])[..., None])
 
     return Weighting(values, rows, overlap=order)

@@ -1,8 +1,8 @@
 """Multiple shooting: open-loop predictions of short segments."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import ClassVar
+from functools import cached_property, partial
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from sysid_bench.identification.linear.least_squares import solve, stacked_facto
 from sysid_bench.identification.simulation_based.forward_model import (
     AccelerationModel,
     SensitivityModel,
+    compiled_step,
+    compiled_steps,
     scalar_joints,
     start_state,
 )
@@ -103,6 +105,11 @@ class _Pieces:
     exact: ClassVar[Model | None] = None
 
     @cached_property
+    def compiled(self) -> Any:
+        """Compiled steps; None where there are none."""
+        return compiled_steps(self.forward, self.measured)
+
+    @cached_property
     def floor(self) -> Array:
         """Rounding error of the positions (n,)."""
         return np.asarray(floor_of(self.q.reshape(-1, self.q.shape[-1])))
@@ -135,10 +142,11 @@ class _Pieces:
             return kept[1]
         S, C, n = self.q.shape
         model = SensitivityModel(self.forward, self.measured, beta)
+        step = model.step if self.compiled is None else partial(compiled_step, self.compiled, beta)
         x = start_state(self.begin[:, :n], self.begin[:, n:], len(beta))
         path = [x]
         for k in range(S - 1):
-            x = model.step(x, self.first + k)
+            x = step(x, self.first + k)
             path.append(x)
         slopes = np.array([x.dq for x in path])
         by_start = slopes[..., : 2 * n].transpose(1, 0, 2, 3).reshape(C, S * n, 2 * n)

@@ -18,7 +18,7 @@ from sysid_bench.identification.linear.least_squares import (
     stacked_factor,
     with_floor,
 )
-from sysid_bench.types import Array, Estimate, Problem, RowBlock
+from sysid_bench.types import Array, Estimate, Problem, RowBlock, SparseBlocks
 
 KEPT: Final = 40e6
 """Most bytes of samples that are kept between passes; others are made again in every pass."""
@@ -37,13 +37,73 @@ class Weighting:
     """Weights of one iteration as functions of a block, whose first sample has the index `start`.
 
     `values(e, start)` are v (n, rows) of residuals e (n, rows), for the gradient Y'v;
-    `rows(Q, e, samples)` are samples Q (n, rows, r) of indices (n,) times the roots of their
-    weights. A block begins with the last `overlap` samples of the block before.
+    `rows(Q, e, samples)` are samples Q (n, rows, r) of indices (n,), None where they are a part of
+    all, times the roots of their weights. A block begins with the last `overlap` samples of the
+    block before. `slopes(e)` (n, rows) are derivatives of v by e where they are not the weights.
     """
 
     values: Callable[[Array, int], Array]
-    rows: Callable[[Array, Array, Array], Array]
+    rows: Callable[[Array, Array, Array | None], Array]
     overlap: int = 0
+    slopes: Callable[[Array], Array] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DenseProducts:
+    """A block Y (n, rows, r), b (n, rows) whose first sample has the index `start`."""
+
+    start: int
+    b: Array
+    Y: Array
+
+    def residual(self, beta: Array) -> Array:
+        """b - Y beta (n, rows)."""
+        # One product of a matrix and a vector, faster than one of each sample.
+        return np.asarray(self.b - (self.Y.reshape(-1, len(beta)) @ beta).reshape(self.b.shape))
+
+    def transposed(self, v: Array) -> Array:
+        """Y'v (r,) of values v (n, rows)."""
+        return np.asarray(v.ravel() @ self.Y.reshape(v.size, -1))
+
+    def dense(self, samples: Array) -> Array:
+        """Y (m, rows, r) of some samples (m,)."""
+        return np.asarray(self.Y[samples])
+
+
+@dataclass(frozen=True, eq=False)
+class SparseProducts:
+    """The same for Y (k, n) of each row, in some of r columns."""
+
+    start: int
+    b: Array
+    Y: list[Array]
+    columns: list[Array]
+    r: int
+
+    def residual(self, beta: Array) -> Array:
+        """b - Y beta (n, rows), a row after the other in memory."""
+        e = np.empty(self.b.T.shape)
+        for row, Y, columns in zip(e, self.Y, self.columns, strict=True):
+            np.dot(beta[columns], Y, out=row)
+        np.subtract(self.b.T, e, out=e)
+        return e.T
+
+    def transposed(self, v: Array) -> Array:
+        """Y'v (r,) of values v (n, rows)."""
+        total = np.zeros(self.r)
+        for row, Y, columns in zip(np.ascontiguousarray(v.T), self.Y, self.columns, strict=True):
+            total[columns] += Y @ row
+        return total
+
+    def dense(self, samples: Array) -> Array:
+        """Y (m, rows, r) of some samples (m,)."""
+        dense = np.zeros((len(samples), len(self.Y), self.r))
+        for i, (Y, columns) in enumerate(zip(self.Y, self.columns, strict=True)):
+            dense[:, i, columns] = Y[:, samples].T
+        return dense
+
+
+Products = DenseProducts | SparseProducts
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +118,7 @@ class StreamedRows:
     problem: Problem
     R: Array
     sigma: Array
+    whole: bool = True  # all samples, whose blocks follow each other in time
 
     def blocks(self, overlap: int = 0) -> Iterator[tuple[int, Array, Array]]:
         """Yield (start, Y (n, rows, r), b (n, rows)) in time order; blocks after the first begin
@@ -68,7 +129,7 @@ class StreamedRows:
                 Y, b = (np.concatenate(pair) for pair in zip(past, (Y, b), strict=True))
             yield end - (0 if past is None else len(past[0])), Y, b
             end += len(b) - (0 if past is None else len(past[0]))
-            if overlap:
+            if overlap and self.whole:
                 past = (Y[-overlap:], b[-overlap:])
 
     @cached_property
@@ -76,11 +137,22 @@ class StreamedRows:
         size = 8 * self.problem.samples * len(self.problem.rows) * len(self.R)
         return list(self.problem.blocks()) if size <= KEPT else None
 
+    def products(self, overlap: int = 0) -> Iterator["Products"]:
+        """Yield the blocks for products with vectors: without zeros where samples are not kept and
+        the problem can be read so."""
+        sparse = self.problem.blocks
+        if self._kept is None and isinstance(sparse, SparseBlocks):
+            columns = [factor.columns for factor in self.problem.factors]
+            for start, Y, b in sparse.by_row(overlap):
+                yield SparseProducts(start, b, Y, columns, len(self.R))
+        else:
+            for start, Y_dense, b in self.blocks(overlap):
+                yield DenseProducts(start, b, Y_dense)
+
     def residuals(self, beta: Array, overlap: int = 0) -> Iterator[tuple[int, Array]]:
         """Yield (start, b - Y beta (n, rows)) block by block."""
-        for start, Y, b in self.blocks(overlap):
-            # One product of a matrix and a vector, faster than one of each sample.
-            yield start, b - (Y.reshape(-1, len(beta)) @ beta).reshape(b.shape)
+        for block in self.products(overlap):
+            yield block.start, block.residual(beta)
 
     def gradient(self, beta: Array, weighting: Weighting) -> Array:
         """Gradient (r,) by gamma at beta."""
@@ -113,15 +185,20 @@ class StreamedRows:
             chosen = samples % before == 0
             Y, b = Y[chosen], b[chosen]
             Q = (Y.reshape(-1, r) @ inverse).reshape(Y.shape)
-            rows = weighting.rows(Q, b - Y @ beta, samples[chosen])[::after].reshape(-1, r)
+            indices = samples[chosen] if self.whole else None
+            rows = weighting.rows(Q, b - Y @ beta, indices)[::after].reshape(-1, r)
             if len(rows):
                 # Fortran order of the transpose: no copy, and half of the products.
                 total += blas.dsyrk(1.0, rows.T)
         return every * (np.triu(total) + np.triu(total, 1).T)
 
-    def covariance(self, beta: Array, weighting: Weighting) -> Array:
-        """Covariance (r, r) of beta for weighted rows of unit noise."""
-        factor = np.triu(cho_factor(self.information(beta, weighting))[0])
+    def covariance(
+        self, beta: Array, weighting: Weighting, part: "StreamedRows | None" = None
+    ) -> Array:
+        """Covariance (r, r) of beta for weighted rows of unit noise, with the information of a part
+        where one is given."""
+        rows = self if part is None else part
+        factor = np.triu(cho_factor(rows.information(beta, weighting))[0])
         half = solve_triangular(factor @ self.R, np.eye(len(factor)))
         return np.asarray(half @ half.T)
 
@@ -155,6 +232,7 @@ class ReweightedFit:
     weighting: Weighting
     iterations: int
     converged: bool
+    stop: str = SETTLED
 
     def estimate(self, covariance: Array, stats: dict[str, float]) -> Estimate:
         """The estimate with a covariance (r, r) and the numbers of its method."""
@@ -164,7 +242,7 @@ class ReweightedFit:
             stats=stats,
             converged=self.converged,
             iterations=self.iterations,
-            stop=SETTLED if self.converged else f"the limit of {self.iterations} iterations",
+            stop=self.stop if self.converged else f"the limit of {self.iterations} iterations",
         )
 
 
@@ -174,10 +252,12 @@ def reweighted_fit(
     iterations: int,
     weigh: Callable[[Array, int], Weighting],
     hold_after: int = 0,
+    near: float = 0.0,
 ) -> ReweightedFit:
     """Return the fixed point from a start beta (r,): `weigh(beta, iteration)` makes the weights
     from the residuals of beta. It can converge after iteration `hold_after`, from which `weigh`
-    holds what could alternate for ever."""
+    holds what could alternate for ever, or anywhere by a step of `near` standard deviations (RMS).
+    """
     gamma, root, converged = rows.R @ beta, rows.R, False
     for iteration in range(1, iterations + 1):
         weighting = weigh(beta, iteration)
@@ -193,16 +273,23 @@ def reweighted_fit(
         beta = solve_triangular(rows.R, gamma)
         # |gamma| = |R beta| is the size of the torques: the stop rule depends on no unit.
         small = np.linalg.norm(change) <= SMALL * np.linalg.norm(gamma)
-        converged = iteration > hold_after and bool(small)
+        deviations = np.linalg.norm(root @ change) / np.sqrt(len(change))
+        converged = (iteration > hold_after and bool(small)) or bool(deviations < near)
         if converged:
             break
     return ReweightedFit(beta, weighting, iteration, converged)
 
 
 def m_estimate(
-    rows: StreamedRows, loss: Loss, beta: Array, iterations: int, scales: Array | None = None
+    rows: StreamedRows,
+    loss: Loss,
+    beta: Array,
+    iterations: int,
+    scales: Array | None = None,
+    near: float = 0.0,
 ) -> tuple[ReweightedFit, Array]:
-    """Return the M-estimate from a start beta (r,), and the scales (rows,); given ones are held."""
+    """Return the M-estimate from a start beta (r,), and the scales (rows,); given ones are held.
+    `near` as for `reweighted_fit`."""
     hold_after = 0 if scales is not None else HOLD_AFTER
     held = np.ones(len(rows.problem.rows)) if scales is None else scales
 
@@ -210,13 +297,18 @@ def m_estimate(
         nonlocal held
         if iteration <= hold_after:
             held = row_scale(rows, beta)
-        scale = held
-        return Weighting(
-            lambda e, _: loss.weight(e / scale) / scale**2 * e,
-            lambda Q, e, _: Q * (np.sqrt(loss.weight(e / scale)) / scale)[..., None],
-        )
+        return m_weighting(loss, held)
 
-    return reweighted_fit(rows, beta, iterations, weigh, hold_after), held
+    return reweighted_fit(rows, beta, iterations, weigh, hold_after, near), held
+
+
+def m_weighting(loss: Loss, scale: Array) -> Weighting:
+    """Return the weights of a loss of residuals divided by scales (rows,)."""
+    return Weighting(
+        lambda e, _: loss.weight(e / scale) / scale**2 * e,
+        lambda Q, e, _: Q * (np.sqrt(loss.weight(e / scale)) / scale)[..., None],
+        slopes=lambda e: loss.slope(e / scale) / scale**2,
+    )
 
 
 def m_estimate_result(

@@ -9,7 +9,7 @@ With tau(q, v, a, beta) = M a + bias, the acceleration has the derivatives -M^-1
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,6 +20,12 @@ from sysid_bench.types import Array, Experiment, Trajectory
 
 FAR: Final = 1e6
 """Position or velocity (rad, rad/s, m, m/s) beyond which the model counts as divergent."""
+
+_SINGULAR: Final = (
+    "The mass matrix of these parameters is singular: what the model lacks, or noise, has carried "
+    "them away."
+)
+_DIVERGED: Final = "The model diverges with these parameters."
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +60,7 @@ class AccelerationModel:
             q = q + h * v + h * h / 6 * (2 * a + b)
             v = v + 0.5 * h * (a + b)
         if not (np.abs(q) < FAR).all() or not (np.abs(v) < FAR).all():
-            raise SimulationError("The model diverges with these parameters.")
+            raise SimulationError(_DIVERGED)
         return q, v
 
     def along(
@@ -84,32 +90,11 @@ class AccelerationModel:
 
     def _needed(self, beta: Array, q: Array, v: Array) -> Array:
         """Torques (S, n + 1, n) of zero and unit accelerations, each state with its own beta."""
-        S, n = q.shape
-        # Most sigma points of a filter differ in beta alone: their regressor is the first one's.
-        same = (q == q[0]).all(axis=1) & (v == v[0]).all(axis=1)
-        same[0] = False
-        first, rest = np.flatnonzero(same), np.flatnonzero(~same)
-        Y, known = self._regressor(q[rest], v[rest], bool(len(first)))
-        needed = (Y @ beta[rest, None, :, None])[..., 0] + known
-        if not len(first):
-            return np.asarray(needed)
-        every = np.empty((S, n + 1, n))
-        every[rest] = needed
-        every[first] = (Y[0] @ beta[first, None, :, None])[..., 0] + known[0]
-        return every
-
-    def _regressor(self, q: Array, v: Array, keep: bool) -> tuple[Array, Array]:
-        """Base regressor (S, n + 1, n, r) and known torque (S, n + 1, n) of states at zero and unit
-        accelerations; those of the first state may be kept, for the process noise at the mean."""
-        kept = vars(self).get("kept")
-        if kept is not None and len(q) == 1 and np.array_equal(kept[0], [q[0], v[0]]):
-            return kept[1], kept[2]
-        n, motion = q.shape[1], unit_acceleration(q, v)
-        Y = regressor_of(self.experiment, motion).reshape(len(q), n + 1, n, -1)
-        known = self.experiment.known(motion).reshape(-1, n + 1, n)
-        if keep:
-            vars(self)["kept"] = np.array([q[0], v[0]]), Y[:1], known[:1]
-        return Y, known
+        motion, shape = unit_acceleration(q, v), (len(q), q.shape[1] + 1, q.shape[1])
+        Y = regressor_of(self.experiment, motion).reshape(*shape, -1)
+        return np.asarray((Y @ beta[:, None, :, None])[..., 0]) + self.experiment.known(
+            motion
+        ).reshape(shape)
 
     def torque(self, beta: Array, motion: Trajectory) -> Array:
         """Inverse dynamics (S, n) of one beta (r,) along a motion."""
@@ -143,10 +128,7 @@ def acceleration_of(
     try:
         return np.linalg.solve(M, force[..., None])[..., 0], M
     except np.linalg.LinAlgError as error:
-        raise EstimationError(
-            "The mass matrix of these parameters is singular: what the model lacks, or noise, "
-            "has carried them away."
-        ) from error
+        raise EstimationError(_SINGULAR) from error
 
 
 def scalar_joints(experiment: Experiment, what: str) -> int:
@@ -168,9 +150,50 @@ def scalar_joints(experiment: Experiment, what: str) -> int:
 NUDGE: Final = 1e-6
 """Finite-difference step of q and v (rad, rad/s, m, m/s)."""
 
+CLOSE: Final = 1e-9
+"""Largest difference of compiled rows from the regressor's, relative to their largest entry."""
+
+
+def compiled_steps(forward: AccelerationModel, measured: MeasuredMotion) -> Any:
+    """Return the compiled steps along a measured motion; None where there are none, or where they
+    are not those of the experiment's regressor, which may have features or coupled friction."""
+    experiment, motion = forward.experiment, measured.motion
+    if experiment.forward is None:
+        return None
+    numbers = {"dt": forward.dt, "substeps": forward.substeps, "nudge": NUDGE, "far": FAR}
+    arrays = {name: getattr(measured, name) for name in ("tau", "columns", "friction", "standing")}
+    arrays |= {"jumping": measured.jumps, "a": motion.a}
+    steps = experiment.forward.along(numbers, arrays)
+    if steps is None:
+        return None
+    # Rows are affine in beta and smooth in the state: three samples that differ would show a gap.
+    at = [0, len(motion) // 3, len(motion) - 1]
+    few = Trajectory(motion.t[at], motion.q[at], motion.v[at], motion.a[at])
+    expected = regressor_of(experiment, few), experiment.known(few)
+    own = np.ones(expected[0].shape[2], bool)
+    own[measured.columns] = False
+    for k in range(len(at)):
+        Y, known = np.empty(expected[0].shape[1:]), np.empty(expected[1].shape[1])
+        q, v, a = (np.ascontiguousarray(x[k]) for x in (few.q, few.v, few.a))
+        steps.call("model_rows", q, v, a, Y, known)
+        pairs = (Y[:, own], expected[0][k][:, own]), (known, expected[1][k])
+        for found, wanted in pairs:
+            size = np.abs(wanted).max(initial=0.0)
+            if not (np.abs(found - wanted) <= CLOSE * size).all():
+                return None
+    return steps
+
+
+def check_code(code: int) -> None:
+    """Raise the error that a compiled step has returned."""
+    if code == 1:
+        raise EstimationError(_SINGULAR)
+    if code == 2:
+        raise SimulationError(_DIVERGED)
+
 
 @dataclass(frozen=True, eq=False)
-class _StateSlopes:
+class StateSlopes:
     """Positions and rates q, v (S, n) of S states, and their derivatives (S, n, m), of which the
     last r are by beta; the mass matrix M (S, n, n) at the start of the step to them, if any."""
 
@@ -181,11 +204,19 @@ class _StateSlopes:
     M: Array | None = None
 
 
-def start_state(q: Array, v: Array, r: int) -> _StateSlopes:
+def start_state(q: Array, v: Array, r: int) -> StateSlopes:
     """Return states (S, n) with their derivatives by themselves and by beta: m = 2 n + r."""
     S, n = q.shape
     ones = np.broadcast_to(np.eye(2 * n, 2 * n + r), (S, 2 * n, 2 * n + r))
-    return _StateSlopes(q, v, ones[:, :n], ones[:, n:])
+    return StateSlopes(q, v, ones[:, :n], ones[:, n:])
+
+
+def compiled_step(steps: Any, beta: Array, x: StateSlopes, at: Array) -> StateSlopes:
+    """Return the states one step after the samples `at` (S,), as `SensitivityModel.step`."""
+    now = [np.array(part, order="C") for part in (x.q, x.v, x.dq, x.dv)]
+    given = np.ascontiguousarray(at, np.int64), np.ascontiguousarray(beta)
+    check_code(steps.call("sensitivities", len(at), *given, *now, None))
+    return StateSlopes(*now)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,21 +227,21 @@ class SensitivityModel:
     measured: MeasuredMotion
     beta: Array
 
-    def step(self, x: _StateSlopes, at: Array) -> _StateSlopes:
+    def step(self, x: StateSlopes, at: Array) -> StateSlopes:
         """Return the states one step after the samples `at` (S,), by Heun's rule."""
         parts = self.forward.substeps
         h = self.forward.dt / parts
         for k in range(parts):
             # Heun's rule as in `AccelerationModel.step`, derivatives carried along term by term.
             a, da, M = self._acceleration(x, at, k / parts)
-            there = _StateSlopes(
+            there = StateSlopes(
                 x.q + h * x.v + 0.5 * h * h * a,
                 x.v + h * a,
                 x.dq + h * x.dv + 0.5 * h * h * da,
                 x.dv + h * da,
             )
             b, db, _ = self._acceleration(there, at, (k + 1) / parts)
-            x = _StateSlopes(
+            x = StateSlopes(
                 x.q + h * x.v + h * h / 6 * (2 * a + b),
                 x.v + 0.5 * h * (a + b),
                 x.dq + h * x.dv + h * h / 6 * (2 * da + db),
@@ -231,7 +262,7 @@ class SensitivityModel:
         beta[self.measured.jumps] = 0.0
         return beta
 
-    def _acceleration(self, x: _StateSlopes, at: Array, share: float) -> tuple[Array, Array, Array]:
+    def _acceleration(self, x: StateSlopes, at: Array, share: float) -> tuple[Array, Array, Array]:
         """Acceleration (S, n) between the samples `at` and the next, its derivative, and M."""
         betas = np.broadcast_to(self.beta, (len(x.q), len(self.beta)))
         before = self.measured.torque_without_friction(at, betas)
