@@ -3,7 +3,7 @@
 The loop is that of the feedback; closed kinematic chains are in `models/coupling`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -104,6 +104,13 @@ class TrackingControl:
         Raises UnsupportedError for a floating base or ball joints, SimulationError if the loop
         diverges.
         """
+        return self.run_many(plant, [commanded], [encoder])[0]
+
+    def run_many(
+        self, plant: Plant, commanded: Sequence[Trajectory], encoders: Sequence[Array]
+    ) -> list[tuple[Oracle, Controller | None]]:
+        """As `run`, along several motions with the encoder errors of each; at once in lanes. What
+        comes of one does not depend on the others."""
         robot = plant.robot
         if robot.floating or any(joint.kind == "ball" for joint in robot.joints):
             raise UnsupportedError(
@@ -111,7 +118,8 @@ class TrackingControl:
             )
         controller = self.controller(plant)
         moved = plant_controller(controller, robot)
-        return self.follow(plant, moved, commanded, encoder), controller
+        found = self._follow_many(plant, moved, commanded, encoders)
+        return [(oracle, controller) for oracle in found]
 
     def follow(
         self, plant: Plant, controller: Controller, commanded: Trajectory, encoder: Array
@@ -120,21 +128,44 @@ class TrackingControl:
 
         Raises SimulationError if the loop diverges or loses the commanded motion.
         """
+        return next(self._follow_many(plant, controller, [commanded], [encoder]))
+
+    def _follow_many(
+        self,
+        plant: Plant,
+        controller: Controller,
+        commanded: Sequence[Trajectory],
+        encoders: Sequence[Array],
+    ) -> Iterator[Oracle]:
         mj = tracking_model(plant, controller, self.step_choice)
-        whole, control = self.inputs(plant, controller, commanded, encoder)
-        each: int = round((whole.t[1] - whole.t[0]) / mj.opt.timestep)
-        drive = drive_of(plant, controller, self.step_choice, each)
-        if self.simulator == "lanes" and not uncovered(plant, mj):
-            q, v = whole.q[:1], whole.v[:1]
-            batch = PlantBatch(mj, [plant], drive, t=whole.t, control=control, q=q, v=v, each=each)
-            signals = Signals(*(x[0] for x in vars(batch.run()).values()))
-        else:
-            data = mujoco.MjData(mj)
-            data.qpos[:], data.qvel[:] = whole.q[0], whole.v[0]
-            signals = run_steps(
-                CompiledRun(plant, mj, data, drive, t=whole.t, control=control, each=each)
-            )
-        return oracle_of(plant, commanded, signals, mj.opt.timestep)
+        in_lanes = self.simulator == "lanes" and not uncovered(plant, mj)
+        # Lanes share the sample times: one motion after the other where these differ.
+        together = in_lanes and all(np.array_equal(x.t, commanded[0].t) for x in commanded)
+        size = len(commanded) if together else 1
+        for first in range(0, len(commanded), size):
+            part = commanded[first : first + size]
+            errors = encoders[first : first + size]
+            driven = [
+                self.inputs(plant, controller, x, e) for x, e in zip(part, errors, strict=True)
+            ]
+            whole, control = driven[0]
+            each: int = round((whole.t[1] - whole.t[0]) / mj.opt.timestep)
+            drive = drive_of(plant, controller, self.step_choice, each)
+            if in_lanes:
+                q, v = (np.array([getattr(x, name)[0] for x, _ in driven]) for name in ("q", "v"))
+                batch = PlantBatch(
+                    mj, [plant] * len(part), drive, t=whole.t,
+                    control=np.array([u for _, u in driven]), q=q, v=v, each=each,
+                )  # fmt: skip
+                arrays = vars(batch.run()).values()
+                signals = [Signals(*(x[k] for x in arrays)) for k in range(len(part))]
+            else:
+                data = mujoco.MjData(mj)
+                data.qpos[:], data.qvel[:] = whole.q[0], whole.v[0]
+                run = CompiledRun(plant, mj, data, drive, t=whole.t, control=control, each=each)
+                signals = [run_steps(run)]
+            for motion, own in zip(part, signals, strict=True):
+                yield oracle_of(plant, motion, own, mj.opt.timestep)
 
     def inputs(
         self, plant: Plant, controller: Controller, commanded: Trajectory, encoder: Array

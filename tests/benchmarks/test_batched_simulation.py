@@ -11,9 +11,14 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
+from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.excitation.random_motions import Fourier
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.candidate import Candidate
+from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.plant_batch import lanes_library
+from sysid_bench.simulation.tracking_control import TrackingControl, commands
+from sysid_bench.simulation.tracking_model import tracking_model
 from tests.robots import named_robot, urdf_files, urdf_robot
 from tests.simulation.test_plant_batch import batch_of, variants
 
@@ -88,3 +93,45 @@ def test_batched_simulation(case: str, compare: Compare, line: Line) -> None:
          aim, aim, True)  # fmt: skip
     line(f"the same, least of them ({min(found, key=lambda name: found[name])})",
          min(found.values()), 0.5 * aim, aim, True)  # fmt: skip
+
+
+@pytest.mark.parametrize("count", [1, 64])
+def test_closed_loops(compare: Compare, line: Line, count: int) -> None:
+    """An arm with friction that sticks, 2 s at 1 kHz with the default four steps a period, along
+    several motions; beside it the bare rollout of the same steps, one for each motion."""
+    if isinstance(lanes_library(), str):
+        pytest.skip(lanes_library())
+    robot = named_robot("xarm7")
+    plant, loop = plant_of(robot), TrackingControl(simulator="lanes")
+    controller = loop.controller(plant)
+    designs = [Fourier(period=SECONDS).design(design_problem(robot, 1000.0),
+                                              np.random.default_rng(k))
+               for k in range(min(count, 8))]  # fmt: skip
+    motions = [designs[k % len(designs)] for k in range(count)]
+    silence = [np.zeros_like(motion.v) for motion in motions]
+    mj = tracking_model(plant, controller)
+    each = round((motions[0].t[1] - motions[0].t[0]) / mj.opt.timestep)
+    control = np.array([commands(controller, x, e, robot).repeat(each, axis=0)
+                        for x, e in zip(motions, silence, strict=True)])  # fmt: skip
+    rollouts = Batch(mj, count, nthread=1)
+
+    def mujoco() -> None:
+        for name in ("q", "v"):
+            rollouts.bind(f"q{'pos' if name == 'q' else 'vel'}")[:] = [
+                getattr(motion, name)[0] for motion in motions
+            ]
+        rollouts.rollout(control.shape[1], control, record=["qpos", "qvel", "qacc"])
+
+    functions = {
+        "lanes": lambda: loop.run_many(plant, motions, silence),
+        "loop in MuJoCo": lambda: replace(loop, simulator="mujoco").run_many(
+            plant, motions[:2], silence[:2]
+        ),
+        "rollout": mujoco,
+    }
+    seconds = compare(functions, 3)
+    of_mujoco = seconds["loop in MuJoCo"] * count / min(count, 2)
+    line(f"closed loop in lanes / bare rollout of its steps, {count} motions",
+         seconds["lanes"] / seconds["rollout"], 1.5 if count == 1 else 0.5)  # fmt: skip
+    line(f"the same / the loop with MuJoCo, {count} motions", seconds["lanes"] / of_mujoco,
+         1.0 if count == 1 else 0.3)  # fmt: skip

@@ -149,3 +149,24 @@ def test_mujoco_simulates_without_the_library(monkeypatch: pytest.MonkeyPatch) -
     assert batch.simulator == "mujoco: nothing was compiled"
     (ours,) = batch.follow([plant], motion, None)
     assert isinstance(ours, Oracle)
+
+
+@pytest.mark.parametrize("simulator", ["lanes", "mujoco"])
+@pytest.mark.parametrize("effects", ["friction", "elastic joints"])
+def test_motions_together_are_each_alone_bit_for_bit(effects: str, simulator: str) -> None:
+    plant, loop = plant_of(named_robot("scara"), EFFECTS[effects]), TrackingControl()
+    loop = replace(loop, simulator=simulator)
+    one = motion_of(plant)
+    # Another length, which lanes do not share
+    for motions in ([one, replace(one, q=one.q[::-1].copy(), v=-one.v[::-1])],
+                    [one, motion_of(plant, 100)]):  # fmt: skip
+        errors = [1e-5 * np.random.default_rng(k).normal(size=x.q.shape)
+                  for k, x in enumerate(motions)]  # fmt: skip
+        together = loop.run_many(plant, motions, errors)
+        for motion, error, (oracle, _) in zip(motions, errors, together, strict=True):
+            alone, _ = loop.run(plant, motion, error)
+            for name in ("q", "v", "a"):
+                np.testing.assert_array_equal(
+                    getattr(oracle.motion, name), getattr(alone.motion, name)
+                )
+            np.testing.assert_array_equal(oracle.tau, alone.tau)

@@ -28,6 +28,7 @@ from sysid_bench.experiments.simulated.record import (
     SampledRecording,
     SimulatedRobot,
     record,
+    record_all,
     recordings_of,
 )
 from sysid_bench.experiments.simulated.sealed_robot import robot_of_plant
@@ -158,8 +159,7 @@ def _recorded_motions(
             "motion for every seed. Choose one that draws it, as 'fourier', or motions = 1."
         )
     further = (Repetition(i, True, motion_noise_seed(spec, i)) for i in range(1, spec.motions))
-    order = [first, *further]
-    return [record(spec, robot, one) for robot, one in zip(robots, order, strict=True)]
+    return record_all(spec, robots, [first, *further])
 
 
 def _runs(

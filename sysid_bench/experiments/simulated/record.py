@@ -1,6 +1,6 @@
 """Simulated recordings: a plant moves along an excitation, its sensors are read and filtered."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -31,6 +31,7 @@ from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation import sensors, wrench_sensors
 from sysid_bench.simulation.inverse import Inverse, joint_positions
+from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 
 
@@ -96,51 +97,49 @@ class SimulatedRobot:
     def _checked(self, excitation: Mapping[str, Any], rate: float, seed: int) -> CommandedMotion:
         return commanded_motion(excitation, self.loaded, self.design_problem(rate), seed)
 
-    def run(self, error: Array) -> tuple[Oracle, Controller | None]:
-        """Ground truth of the plant's motion with encoder errors (N, n) of the model's joints, and
-        the controller."""
-        # Inverse dynamics reads no encoder: one run serves all errors.
-        if type(self.simulation) is Inverse:
-            return self._undisturbed, None
-        return self._moved(self.simulation, self.commanded, error)
-
-    def along(self, excitation: Mapping[str, Any], seed: int) -> Oracle:
-        """Ground truth of the plant on another motion, at the rate of the recording."""
-        return self._held_out(self._other(excitation, seed).motion)
+    def along(self, excitation: Mapping[str, Any], seeds: Iterable[int]) -> list[Oracle]:
+        """Ground truth of the plant on other motions, at the rate of the recording."""
+        return self._held_out([self._other(excitation, seed).motion for seed in seeds])
 
     @cached_property
     def held_out(self) -> dict[str, Oracle]:
         """Ground truth of the held-out motions, by excitation, for scoring."""
         motions: dict[str, Oracle] = {}
-        for index, excitation in enumerate(self.spec.held_out):
+        oracles = self._held_out([one.motion for one in self.motions_held_out])
+        for index, (excitation, oracle) in enumerate(zip(self.spec.held_out, oracles, strict=True)):
             name = excitation["use"]
-            oracle = self._held_out(self.motions_held_out[index].motion)
             motions[name if name not in motions else f"{name}-{index}"] = oracle
         return motions
 
-    def _held_out(self, motion: Trajectory) -> Oracle:
+    def _held_out(self, motions: Sequence[Trajectory]) -> list[Oracle]:
         # By inverse dynamics, whatever the training uses: the motion is exactly the commanded one.
         if self.built.plant.transmission is None:
-            return self._moved(Inverse(), motion)[0]
+            return [oracle for oracle, _ in self.moved(Inverse(), motions)]
         # Links behind elastic transmissions cannot follow it, and are simulated as in training;
         # theirs is the motion that scores are based on.
-        oracle, each = self._moved(self.simulation, motion)[0], self.step_ratio
-        return Oracle(sampled_motion(oracle.motion, each), oracle.tau[::each])
+        each, oracles = self.step_ratio, [x for x, _ in self.moved(self.simulation, motions)]
+        return [Oracle(sampled_motion(x.motion, each), x.tau[::each]) for x in oracles]
 
     @cached_property
-    def _undisturbed(self) -> Oracle:
-        return self._moved(self.simulation, self.commanded)[0]
+    def undisturbed(self) -> Oracle:
+        """Ground truth of the plant's motion without encoder errors."""
+        return self.moved(self.simulation, [self.commanded])[0][0]
 
-    def _moved(
-        self, simulation: Any, motion: Trajectory, error: Array | None = None
-    ) -> tuple[Oracle, Controller | None]:
-        joints = self.built.coordinates
-        if error is None:
-            error = np.zeros((len(motion), len(self.built.model.torque_dofs)))
-        oracle, controller = simulation.run(
-            self.built.plant, joints.to_plant(motion), joints.error_to_plant(error)
-        )
-        return oracle, controller
+    def moved(
+        self, simulation: Any, motions: Sequence[Trajectory], errors: Sequence[Array] | None = None
+    ) -> list[tuple[Oracle, Controller | None]]:
+        """Ground truth of the plant along motions of the model, with encoder errors (N, n) of the
+        model's joints (None: without), and the controller."""
+        joints, plant = self.built.coordinates, self.built.plant
+        if errors is None:
+            width = len(self.built.model.torque_dofs)
+            errors = [np.zeros((len(motion), width)) for motion in motions]
+        along = [joints.to_plant(motion) for motion in motions]
+        errors = [joints.error_to_plant(error) for error in errors]
+        # A subclass may have a run of its own.
+        if type(simulation) is TrackingControl:
+            return simulation.run_many(plant, along, errors)
+        return [simulation.run(plant, x, e) for x, e in zip(along, errors, strict=True)]
 
     def noise_free(self, oracle: Oracle) -> tuple[Trajectory, Array]:
         """The plant's motion as the model counts it, and the noise-free torques and wrenches (N,
@@ -218,13 +217,36 @@ def record(
 ) -> SampledRecording:
     """The recording of one repeat, and of one of its runs where there are several; force/torque
     sensors have the same errors in each `run`, and other noise."""
-    repetition = repetition or Repetition(0, True, noise_seed(spec))
-    built, model = simulated.built, simulated.built.model
+    return record_all(
+        spec, [simulated], [repetition or Repetition(0, True, noise_seed(spec))], run
+    )[0]
+
+
+def record_all(
+    spec: ExperimentSpec,
+    robots: Sequence[SimulatedRobot],
+    repetitions: Sequence[Repetition],
+    run: int = 0,
+) -> list[SampledRecording]:
+    """The recordings of one plant along its motions, of a repetition each."""
     noise = sensors.Noise(
         **{key: x for key, x in spec.noise.items() if key not in wrench_sensors.WRENCH_NOISE}
     )
+    runs = _noisy_runs(robots, noise, [one.seed for one in repetitions])
+    return [_sampled(spec, *one, run) for one in zip(robots, repetitions, runs, strict=True)]
+
+
+def _sampled(
+    spec: ExperimentSpec,
+    simulated: SimulatedRobot,
+    repetition: Repetition,
+    noisy: tuple["_NoisyRun", Array],
+    run: int,
+) -> SampledRecording:
+    """The recording of a noisy run, with the draws (K, n) of its torque noise."""
+    built, model = simulated.built, simulated.built.model
+    (moved, torque_draws), noise = noisy, noisy[0].noise
     pipeline = pipeline_of(spec.pipeline, spec.signals, simulated.loaded.folder)
-    moved, torque_draws = _noisy_run(simulated, noise, repetition.seed)
     # A relative level refers to the exact torque, so that the noise is independent of itself.
     torque_std = noise.torque_std(moved.seen.tau[:: simulated.step_ratio])
     torque_noise = torque_std * noise.torque_noise(torque_draws)
@@ -302,31 +324,45 @@ class _NoisyRun:
         )
 
 
-def _noisy_run(
-    simulated: SimulatedRobot, noise: sensors.Noise, seed: int
-) -> tuple[_NoisyRun, Array]:
-    """Move the plant with a loop that sees the errors of its encoders; return the draws (K, n) of
-    the torque noise as well."""
-    built, steps = simulated.built, range(len(simulated.commanded))
+def _noisy_runs(
+    robots: Sequence[SimulatedRobot], noise: sensors.Noise, seeds: Sequence[int]
+) -> list[tuple[_NoisyRun, Array]]:
+    """Move one plant along its motions with a loop that sees the errors of its encoders; return
+    the draws (K, n) of the torque noise of each as well."""
+    first, built = robots[0], robots[0].built
+    draws, torque_draws, n = [], [], len(built.model.torque_dofs)
     # All draws before the run, in units of their deviation: levels of noise share the same draws.
-    rng, n = np.random.default_rng(seed), len(built.model.torque_dofs)
-    draws = rng.normal(size=(len(steps), n))
-    torque_draws = rng.normal(size=(len(steps[:: simulated.step_ratio]), n))
+    for robot, seed in zip(robots, seeds, strict=True):
+        rng, steps = np.random.default_rng(seed), range(len(robot.commanded))
+        draws.append(rng.normal(size=(len(steps), n)))
+        torque_draws.append(rng.normal(size=(len(steps[:: robot.step_ratio]), n)))
+
+    def run(errors: list[Array]) -> list[tuple[Oracle, Controller | None]]:
+        # Inverse dynamics reads no encoder: one run serves all errors.
+        if type(first.simulation) is Inverse:
+            return [(robot.undisturbed, None) for robot in robots]
+        return first.moved(first.simulation, [robot.commanded for robot in robots], errors)
 
     def seen_by_model(oracle: Oracle) -> Oracle:
         return built.coordinates.to_model(replace(oracle, motion=oracle.measured, encoders=None))
 
-    error = sensors.position_error(noise, draws)
-    oracle, controller = simulated.run(error)
+    def errors_along(moved: list[tuple[Oracle, Controller | None]]) -> list[Array]:
+        motions = [seen_by_model(oracle).motion for oracle, _ in moved]
+        return [_encoder_error(built, noise, *one) for one in zip(draws, motions, strict=True)]
+
+    errors = [sensors.position_error(noise, one) for one in draws]
+    moved = run(errors)
     if noise.quantum > 0 or built.chain.has(sensors.EncoderStage):
         # The first run gives positions, the second one runs with the loop seeing their errors. The
         # recorded errors are those of its own positions, so that readings lie on the encoder's
         # grid.
-        error = _encoder_error(built, noise, draws, seen_by_model(oracle).motion)
-        oracle, controller = simulated.run(error)
-        error = _encoder_error(built, noise, draws, seen_by_model(oracle).motion)
-    run = _NoisyRun(noise, draws, oracle, seen_by_model(oracle), controller, error)
-    return run, torque_draws
+        moved = run(errors_along(moved))
+        errors = errors_along(moved)
+    runs = [
+        _NoisyRun(noise, drawn, oracle, seen_by_model(oracle), controller, error)
+        for drawn, (oracle, controller), error in zip(draws, moved, errors, strict=True)
+    ]
+    return list(zip(runs, torque_draws, strict=True))
 
 
 def _encoder_error(

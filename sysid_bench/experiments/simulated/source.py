@@ -57,11 +57,9 @@ def pseudo_true(noise_free: NoiseFreePart, rows: RowProcessing) -> Array | None:
         return None
     spec, builder, problems = noise_free.spec, noise_free.builder, list[Problem]()
     slow = RowProcessing(standstill=rows.standstill, weight=rows.weight)
-    for index in range(MOTIONS_OF_LIMIT):
-        seed = other_motion_seed(spec, index)
-        motion, measured = noise_free.simulated.noise_free(
-            noise_free.simulated.along(spec.excitation, seed)
-        )
+    seeds = (other_motion_seed(spec, index) for index in range(MOTIONS_OF_LIMIT))
+    for oracle in noise_free.simulated.along(spec.excitation, seeds):
+        motion, measured = noise_free.simulated.noise_free(oracle)
         problems.append(builder.build(motion, measured, rows=builder.rows_along(motion, slow)))
     return scaled_fit(pooled(problems))[0]
 
