@@ -58,8 +58,11 @@ def pairs(name: str) -> Iterator[tuple[str, float, float, float, bool]]:
             estimator="reports.make.misread_recordings:Truncated",
         )  # fmt: skip
         label = " -> ".join(one.rpartition("/")[2] for one in (train, test))
-        errors = (found.torque_error, found.torque_error_null, cut.torque_error)
-        yield label, *map(float, errors), found.failure is not None
+        error, null, rival = (
+            float(x or np.nan)
+            for x in (found.torque_error, found.torque_error_null, cut.torque_error)
+        )
+        yield label, error, null, rival, found.failure is not None
 
 
 def print_pairs(names: list[str]) -> None:
