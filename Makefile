@@ -1,4 +1,4 @@
-# make smoke | test | long | changed | nightly | environments | processors | tutorials | faults | cluster | side-by-side | fuzz | gate | wild | reference | reference-check | lint | bench | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
+# make smoke | test | long | changed | nightly | environments | processors | tutorials | faults | cluster | side-by-side | fuzz | gate | wild | reference | reference-check | lint | bench | ratios | docs | clean. Everything is installed in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
 # Test processes; 0 runs all tests in one process, which is easier to debug.
@@ -17,7 +17,7 @@ TESTS := -n $(JOBS) --dist worksteal --durations=10 --benchmark-disable \
 
 GATED := smoke terminal agnostic
 
-.PHONY: changed nightly nightly-versions nightly-extras environments wheel smoke test long processors tutorials faults cluster side-by-side fuzz gate gate-models wild reference reference-check lint bench docs clean install
+.PHONY: changed nightly nightly-versions nightly-extras environments wheel smoke test long processors tutorials faults cluster side-by-side fuzz gate gate-models wild reference reference-check lint bench ratios docs clean install
 
 install: $(STAMP)
 
@@ -137,6 +137,10 @@ lint: $(STAMP)
 
 bench: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m pytest tests/benchmarks --benchmark-only
+
+# Speed ratios against tests/baselines/ratios.json, in a minute or two; OPTIONS=--keep replaces those of this processor.
+ratios: $(STAMP)
+	$(COMPILED) $(ONE_THREAD) $(BIN)/python -m tests.benchmarks.ratios $(OPTIONS)
 
 # The site, in site/: open site/index.html. Warnings are errors; links and requests are checked.
 docs: $(DOCS_STAMP)

@@ -195,29 +195,6 @@ def test_the_blocks_of_the_samples_change_nothing(
         assert mine == pytest.approx(theirs, rel=1e-6)
 
 
-@pytest.mark.parametrize("burst", [False, True])
-def test_information_from_a_part_of_the_samples_has_the_same_fixed_point(
-    burst: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A part that misses what a burst excites is not used."""
-    rng = np.random.default_rng(1)
-    W = rng.normal(size=(4000, 3, 6))
-    if burst:
-        W[:, :, 5] = 0.0
-        W[1001:1004, :, 5] = 30.0
-    b = W @ rng.normal(size=6) + 0.3 * rng.standard_t(3, size=(4000, 3))
-    problem = in_parts(problem_of(W, b), [70])
-    every = {name: method().solve(problem) for name, method in METHODS.items()}
-    monkeypatch.setattr(reweighted_rows, "ENOUGH", 500)
-    rows, _ = streamed_rows(problem)
-    assert rows.every == (1 if burst else 8)
-    for name, method in METHODS.items():
-        agree(W, beta_of(method().solve(problem)), beta_of(every[name]))
-
-
-METHODS: dict[str, Any] = {"huber": Huber, "tukey": Tukey, "irls": IRLS, "ar": ArGls}
-
-
 @given(
     columns=st.lists(
         st.lists(st.floats(0, 1e300) | st.sampled_from([0.0, 1.0, 5e-324]), min_size=1),

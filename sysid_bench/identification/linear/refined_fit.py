@@ -104,7 +104,7 @@ class Weights(Protocol):
 
 @dataclass(eq=False)
 class Refined:
-    """A fit on its way: beta (r,), its weights its steps."""
+    """A fit on its way: beta (r,), its weights and steps."""
 
     part: StreamedRows
     beta: Array
@@ -132,11 +132,8 @@ class Refined:
     @property
     def fit(self) -> ReweightedFit:
         count = self.start + len(self.steps)
-        weighting, stop = (
-            self.weights.weighting(),
-            f"{NEAR:g} standard deviations of the fixed point",
-        )
-        return ReweightedFit(self.beta, weighting, count, self.converged, f"within {stop}")
+        stop = f"within {NEAR:g} standard deviations of the fixed point"
+        return ReweightedFit(self.beta, self.weights.weighting(), count, self.converged, stop)
 
 
 CONVEX: Final = 0.01
@@ -229,14 +226,12 @@ class MedianScales:
 
     def __init__(self, rows: StreamedRows, part: StreamedRows, beta: Array, scale: Array) -> None:
         self.problem, self.scale = rows.problem, scale
-        counts = [
-            np.array([max(f.samples, 1) for f in p.factors]) for p in (rows.problem, part.problem)
-        ]
-        self.used = np.minimum(counts[0], max(rows.problem.samples, 1))
+        used, some = (np.array([f.samples for f in p.problem.factors]) for p in (rows, part))
+        self.used = np.clip(used, 1, rows.problem.samples)
         inside = np.zeros(len(scale))
         for _, e in part.residuals(beta):
             inside += (np.abs(np.abs(e) / self._median - 1.0) <= BAND).sum(axis=0)
-        self.density = np.maximum(inside, 1.0) / counts[1] / (2.0 * BAND * self._median)
+        self.density = np.maximum(inside, 1.0) / np.maximum(some, 1) / (2.0 * BAND * self._median)
         self._restart()
 
     @property

@@ -27,7 +27,7 @@ SMALL: Final = 1e-10
 """Share of the torques that the last step of a converged iteration may change."""
 
 ENOUGH: Final = 20_000
-"""Samples, spread over all, from which the information matrix of a step is made."""
+"""Samples, spread over all, from which a fit of a part of them is made."""
 
 SETTLED: Final = "a step changes the torques by less than 1e-10 of them"
 
@@ -162,35 +162,18 @@ class StreamedRows:
             total += values.ravel() @ Y.reshape(-1, len(total))
         return solve_triangular(self.R, total, trans="T")
 
-    @cached_property
-    def every(self) -> int:
-        """Of how many samples one is enough for the information of a step."""
-        every = max(self.problem.samples // ENOUGH, 1)
-        sigma = self.sigma[:, None]
-        plain = Weighting(lambda e, _: e / sigma[:, 0] ** 2, lambda Q, _e, _at: Q / sigma)
-        if every == 1:
-            return 1
-        # All samples give R'R, in these unknowns the identity: what a part gives must be near.
-        shares = np.linalg.eigvalsh(self.information(np.zeros(len(self.R)), plain, every))
-        return every if shares[0] > 0.5 and shares[-1] < 2.0 else 1
-
-    def information(self, beta: Array, weighting: Weighting, every: int = 1) -> Array:
-        """Weighted sum of Q'Q (r, r), as one of `every` samples has it."""
+    def information(self, beta: Array, weighting: Weighting) -> Array:
+        """Weighted sum of Q'Q (r, r)."""
         r = len(self.R)
         total, inverse = np.zeros((r, r)), solve_triangular(self.R, np.eye(r))
-        # Filters need all samples; the others are left out before Q is made.
-        before, after = (every, 1) if weighting.overlap == 0 else (1, every)
         for start, Y, b in self.blocks(weighting.overlap):
-            samples = np.arange(start, start + len(b))
-            chosen = samples % before == 0
-            Y, b = Y[chosen], b[chosen]
             Q = (Y.reshape(-1, r) @ inverse).reshape(Y.shape)
-            indices = samples[chosen] if self.whole else None
-            rows = weighting.rows(Q, b - Y @ beta, indices)[::after].reshape(-1, r)
+            samples = np.arange(start, start + len(b)) if self.whole else None
+            rows = weighting.rows(Q, b - Y @ beta, samples).reshape(-1, r)
             if len(rows):
                 # Fortran order of the transpose: no copy, and half of the products.
                 total += blas.dsyrk(1.0, rows.T)
-        return every * (np.triu(total) + np.triu(total, 1).T)
+        return np.triu(total) + np.triu(total, 1).T
 
     def covariance(
         self, beta: Array, weighting: Weighting, part: "StreamedRows | None" = None
@@ -262,10 +245,9 @@ def reweighted_fit(
     for iteration in range(1, iterations + 1):
         weighting = weigh(beta, iteration)
         # The information is made anew in iterations 1, 2, 4, 8 and so on: a step with that of
-        # similar weights, of a part of many samples, has the same fixed point, for a hundredth of
-        # the products.
+        # similar weights has the same fixed point.
         if iteration & (iteration - 1) == 0:
-            root = np.triu(cho_factor(rows.information(beta, weighting, rows.every))[0])
+            root = np.triu(cho_factor(rows.information(beta, weighting))[0])
         # A step from the present residual, not a fit of b: an old or rounded factor changes the
         # way, and not the fixed point.
         change = np.asarray(cho_solve((root, False), rows.gradient(beta, weighting)))
