@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError
-from sysid_bench.simulation.compiled_steps import Signals
 from sysid_bench.simulation.plant import Plant, law_values
 from sysid_bench.simulation.plant_batch import PlantBatch, check_plants, uncovered
 from sysid_bench.simulation.tracking_control import TrackingControl, oracle_of
@@ -103,9 +102,9 @@ class BatchedControl:
             if error is not None:
                 yield error
                 continue
-            part = Signals(*(x[able.index(k)] for x in vars(signals).values()))
             try:
-                yield oracle_of(plant, commanded, part, self.mj.opt.timestep)
+                found = signals.of_plant(able.index(k))
+                yield oracle_of(plant, commanded, found, self.mj.opt.timestep)
             except SimulationError as diverged:
                 yield diverged
 

@@ -36,7 +36,8 @@ SOURCE: Final = Path(__file__).with_name("steps.c")
 class Signals:
     """State before each sample's step: q (N, nq), v, a and motor torque tau (N, nv), of implicit
     integrators those that the step applies (`end_of_step`); positions,
-    velocities and accelerations of elastic motors (N, n), referred to their joints."""
+    velocities and accelerations of elastic motors (N, n), referred to their joints; `unsolved`
+    steps, whose friction is not that of the equation of motion. Of many plants: (K, ...) each."""
 
     q: Array
     v: Array
@@ -45,6 +46,18 @@ class Signals:
     motor_q: Array
     motor_v: Array
     motor_a: Array
+    unsolved: Array
+
+    @classmethod
+    def of_size(cls, N: int, mj: mujoco.MjModel, motors: int, *plants: int) -> "Signals":
+        """Return room for N samples of a model, with `motors` elastic ones."""
+        sizes = (mj.nq, mj.nv, mj.nv, mj.nv, motors, motors, motors)
+        arrays = [np.empty((*plants, N, size)) for size in sizes]
+        return cls(*arrays, *[np.zeros(plants, np.int64)])
+
+    def of_plant(self, k: int) -> "Signals":
+        """Return the signals of one of many plants."""
+        return Signals(*(x[k] for x in vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,15 +84,14 @@ def run_steps(loop: CompiledRun) -> Signals:
     """Simulate from the state of the loop's data on."""
     N, mj = len(loop.t), loop.mj
     motors = mj.nu if loop.drive.transmission is not None else 0
-    sizes = (mj.nq, mj.nv, mj.nv, mj.nv, motors, motors, motors)
-    out = Signals(*(np.empty((N, size)) for size in sizes))
+    out = Signals.of_size(N, mj, motors)
     library = steps_library() if _is_compiled(loop.plant.laws) else None
     if isinstance(library, ctypes.CDLL):
         mj, data, plant = loop.mj, loop.data, loop.plant
         state = _State(
             mj.nq, mj.nv, mj.nu, *(getattr(data, x).ctypes.data for x in _State._arrays_)
         )
-        record = _Record(*(x.ctypes.data for x in vars(out).values()))
+        record = _Record(*(getattr(out, name).ctypes.data for name in _SIGNALS))
         # C sees addresses alone: these arrays have to live until the call returns.
         inputs = np.ascontiguousarray(loop.control, float)
         constant = -np.asarray(plant.terms.offset, float)
@@ -170,10 +182,11 @@ class _State(ctypes.Structure):
     )
 
 
+_SIGNALS: Final = ("q", "v", "a", "tau", "motor_q", "motor_v", "motor_a")
+
+
 class _Record(ctypes.Structure):
-    _fields_ = tuple(
-        (name, ctypes.c_void_p) for name in ("q", "v", "a", "tau", "motor_q", "motor_v", "motor_a")
-    )
+    _fields_ = tuple((name, ctypes.c_void_p) for name in _SIGNALS)
 
 
 class _Drive(ctypes.Structure):

@@ -67,11 +67,13 @@ typedef struct {
     int64_t input, elastic;
     int64_t at_end, needs_start; /* needs_start: the acceleration at the start of a step is used, too */
     int64_t records_end;         /* accelerations and torques of samples are those at the step's end */
+    int64_t most_pieces;         /* of friction that sticks, in one step */
 } Tree;
 
 /* Signals of each plant (plants, samples, nq or nv or nu), as simulation_steps in steps.c. */
 typedef struct {
     double *q, *v, *a, *tau, *motor_q, *motor_v, *motor_a;
+    int64_t *unsolved; /* (plants): steps whose friction was not solved */
 } Record;
 
 typedef struct {
@@ -96,6 +98,7 @@ typedef struct {
     V *block;                                                    /* signals of BLOCK samples */
     V *now, *held, *theta, *rate, *before, *given;               /* (nu) */
     I *sticks;                                                   /* (nv) */
+    I unsolved; /* steps whose friction has no solution after the most pieces, lane by lane */
     int64_t *dof_before, *row;                                   /* (nv), (nv + 1) */
     Frame *frames;
     int64_t has_coulomb;
@@ -535,8 +538,6 @@ static V step_share(const Tree *t, Group *g, V *p)
     return pick(beyond, low, all(1.0));
 }
 
-#define MOST_PIECES 50 /* far above what was met: 12 */
-
 /* Pieces of friction at a: which joints stick (their `end` is then 1 / R), and the force of the others
  * with that of a_ref in `side`. Returns the lanes that have another piece than before. */
 static I pieces(const Tree *t, Group *g, V *side)
@@ -557,14 +558,15 @@ static I pieces(const Tree *t, Group *g, V *side)
     return changed;
 }
 
-/* Acceleration (nv) of M a = force + f(a), from that of the step before on. */
+/* Acceleration (nv) of M a = force + f(a), from that of the step before on. Lanes that have not ended
+ * after the most pieces are counted: their acceleration does not solve the equation. */
 static void solve_friction(const Tree *t, Group *g)
 {
     const size_t bytes = sizeof(V) * (size_t)t->nv;
     for (int64_t i = 0; i < t->nv; i++)
         g->sticks[i] = (I){0} - 1; /* no piece: the first one is new */
     I open = (I){0} - 1;
-    for (int k = 0; k < MOST_PIECES; k++) {
+    for (int64_t k = 0; k < t->most_pieces; k++) {
         open &= pieces(t, g, g->solved);
         if (!any(open))
             return;
@@ -582,6 +584,8 @@ static void solve_friction(const Tree *t, Group *g)
             g->a[i] = pick(open, next, g->a[i]);
         }
     }
+    open &= pieces(t, g, g->solved);
+    g->unsolved += open & 1;
 }
 
 /* Diagonal of M^-1 (nv) at the reference posture `q`, mean over ball joints and over translations and
@@ -965,6 +969,7 @@ static void run_group(const Tree *t, Group *g, const Call *c, const Record *out,
     const int64_t count = c->plants - first < LANES ? c->plants - first : LANES;
     for (int64_t i = 0; i < t->nq; i++)
         g->q[i] = all(c->reference[i]);
+    g->unsolved = (I){0};
     if (g->has_coulomb)
         reference_inertia(t, g);
     for (int64_t i = 0; i < t->nq; i++)
@@ -1002,6 +1007,8 @@ static void run_group(const Tree *t, Group *g, const Call *c, const Record *out,
         if (k % BLOCK == BLOCK - 1 || k == c->samples - 1)
             write_block(t, g, c, out, first, count, k);
     }
+    for (int64_t l = 0; l < count; l++)
+        out->unsolved[first + l] = g->unsolved[l];
 }
 
 /* --- Memory ------------------------------------------------------------------------------------ */

@@ -30,6 +30,9 @@ EXPLICIT, DAMPERS, ALL_DAMPERS = range(3)
 """Rates that an integrator takes at the end of a step: none, those of dampers of joints, or of
 these and of the feedback of motors; the codes of lanes.c."""
 
+MOST_PIECES: Final = 50
+"""Pieces of friction that sticks which a step may try; far above what was met: 12."""
+
 _DISABLED: Final = ("SPRING", "DAMPER", "FRICTIONLOSS", "CONSTRAINT", "ACTUATION", "REFSAFE")
 """Parts of a step that a model may switch off, and lanes.c does not."""
 
@@ -101,8 +104,7 @@ class PlantBatch:
         suffix, mj, tree = LEVELS[level], self.mj, self._tree
         K, N, nu = len(self.plants), len(self.t), len(self.drive.dofs)
         motors = nu if self.drive.transmission is not None else 0
-        widths = (mj.nq, mj.nv, mj.nv, mj.nv, motors, motors, motors)
-        signals = Signals(*(np.empty((K, N, width)) for width in widths))
+        signals = Signals.of_size(N, mj, motors, K)
         lanes, work = (getattr(dll, f"{name}_{suffix}") for name in ("lanes", "work"))
         lanes.restype = work.restype = ctypes.c_int64
         numbers = _in_lanes(self._numbers(), lanes())
@@ -150,7 +152,7 @@ class PlantBatch:
         return tree_in_c(
             self.plants[0].robot.tree, springs, whole, {"stick_rate": rates, "stick_share": shares},
             nu=len(drive.dofs), laws=len(laws), input=INPUTS[drive.input], elastic=elastic,
-            at_end=at_end, records_end=records_end,
+            at_end=at_end, records_end=records_end, most_pieces=MOST_PIECES,
             needs_start=at_end != EXPLICIT and (bool(laws) or not records_end),
         )  # fmt: skip
 
@@ -323,7 +325,7 @@ class _Tree(ctypes.Structure):
            "spring_reference", "stick_rate", "stick_share", "law_kind", "law_numbers",
            "law_states")),
         *((name, ctypes.c_int64) for name in
-          ("input", "elastic", "at_end", "needs_start", "records_end")),
+          ("input", "elastic", "at_end", "needs_start", "records_end", "most_pieces")),
     )  # fmt: skip
 
 
@@ -337,5 +339,6 @@ class _Call(ctypes.Structure):
 
 class _Record(ctypes.Structure):
     _fields_ = tuple(
-        (name, ctypes.c_void_p) for name in ("q", "v", "a", "tau", "motor_q", "motor_v", "motor_a")
+        (name, ctypes.c_void_p)
+        for name in ("q", "v", "a", "tau", "motor_q", "motor_v", "motor_a", "unsolved")
     )

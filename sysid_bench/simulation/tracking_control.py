@@ -157,8 +157,8 @@ class TrackingControl:
                     mj, [plant] * len(part), drive, t=whole.t,
                     control=np.array([u for _, u in driven]), q=q, v=v, each=each,
                 )  # fmt: skip
-                arrays = vars(batch.run()).values()
-                signals = [Signals(*(x[k] for x in arrays)) for k in range(len(part))]
+                found = batch.run()
+                signals = [found.of_plant(k) for k in range(len(part))]
             else:
                 data = mujoco.MjData(mj)
                 data.qpos[:], data.qvel[:] = whole.q[0], whole.v[0]
@@ -250,6 +250,11 @@ def oracle_of(plant: Plant, commanded: Trajectory, signals: Signals, step: float
     Raises SimulationError for signals that are not finite, or have lost the commanded motion.
     """
     robot, lead = plant.robot, len(signals.q) - len(commanded)
+    if signals.unsolved:
+        raise SimulationError(
+            f"{robot.name}: friction that sticks was not solved in {int(signals.unsolved)} steps; "
+            'simulate the plant with simulator = "mujoco", candidates with friction = "smooth".'
+        )
     q, v, a, tau = (x[lead:] for x in (signals.q, signals.v, signals.a, signals.tau))
     motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
     for name, array in (("position", motion.q), ("acceleration", motion.a)):

@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.errors import EstimationError, SimulationError, UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.random_motions import Fourier
-from sysid_bench.simulation import batched_control
+from sysid_bench.simulation import batched_control, plant_batch
 from sysid_bench.simulation.batched_control import BatchedControl
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.effects.friction import CurvedFriction, LoadFriction, WarmUp
@@ -170,3 +170,22 @@ def test_motions_together_are_each_alone_bit_for_bit(effects: str, simulator: st
                     getattr(oracle.motion, name), getattr(alone.motion, name)
                 )
             np.testing.assert_array_equal(oracle.tau, alone.tau)
+
+
+def test_friction_that_is_not_solved_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With one piece a step cannot follow a joint that starts or stops to stick. Of two plants the
+    one without friction is not concerned."""
+    compiled()
+    plant, loop = plant_of(named_robot("scara")), TrackingControl(simulator="lanes")
+    controller = loop.controller(plant)
+    smooth = Candidate(friction="smooth").plant(plant)
+    assert plant.terms.coulomb.any()
+    monkeypatch.setattr(plant_batch, "MOST_PIECES", 1)
+    with pytest.raises(SimulationError, match=r"not solved in \d+ steps.*mujoco"):
+        loop.run(plant, motion_of(plant), np.zeros_like(motion_of(plant).q))
+    loop.run(smooth, motion_of(plant), np.zeros_like(motion_of(plant).q))
+    batch = BatchedControl(loop, plant, controller)
+    still = replace(plant, terms=smooth.terms)
+    stuck, free = batch.follow([plant, still], motion_of(plant), None)
+    assert isinstance(stuck, SimulationError)
+    assert isinstance(free, Oracle)
