@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.types import Better, Level, Metric, MetricInput, Row
-from sysid_bench.words import CELL_FIELDS, MACHINE_FIELDS
+from sysid_bench.words import CELL_FIELDS, FRAME_DEPENDENT, MACHINE_FIELDS
 
 _TORQUE: Final = "N m|N"
 _ROUNDING: Final = 1e-12
@@ -58,6 +58,8 @@ _ACCURACY: Final = (
     Metric("beaten_by", "Baselines with a smaller error", text=True, needs=("held-out",),
            formula="file-friction (file: values of the model file), mean-torque, zero-torque; of "
            "positions file, position-command"),
+    Metric(FRAME_DEPENDENT, "Reason for which the answer depends on the frames of the links",
+           text=True),
     _error("torque_error_moving", "Relative held-out torque error of moving joints",
            "the same over rows with |v| of the joint at least 10 % of its RMS"),
     _error("torque_error_weighted", "Relative held-out torque error by torque",

@@ -89,6 +89,10 @@ INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
 BESTS: Final = ("none", "min-bold", "max-bold", "bold")
 """Marks of the best values of a table; `bold` follows the direction of each metric."""
 
+FRAME_DEPENDENT: Final = "frame_dependent"
+"""Attribute of a method, and field of its rows, with the reason for which its answer depends on the
+frames of the links: rankings leave it out."""
+
 UNKNOWN: Final = "unknown"
 """Friction of which a prior knows the order of magnitude alone."""
 

@@ -11,7 +11,13 @@ import pytest
 from click.testing import CliRunner
 
 from sysid_bench.apps.conformance import EXECUTOR, KITS, TestProblem, check, failed_checks
-from sysid_bench.apps.conformance.estimator import estimator_cases, estimator_problems
+from sysid_bench.apps.conformance.estimator import (
+    UNMOVED_SHARE,
+    estimator_cases,
+    estimator_problems,
+    frame_deviation,
+    with_moved_frames,
+)
 from sysid_bench.commands.check_plugin import KINDS as CHECKED
 from sysid_bench.commands.check_plugin import check_plugin
 from sysid_bench.commands.main import main
@@ -41,6 +47,52 @@ def test_a_method_without_bias_solves_an_exact_problem(name: str) -> None:
     estimator = build("estimator", name)
     exact = [case for case in estimator_cases(False) if case.exact]
     assert any(identify(estimator, case.problem).status == "ok" for case in exact)
+
+
+DECLARED = [name for name in LINEAR if getattr(resolve("estimator", name), "frame_dependent", "")]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.long if n == "log-cholesky" else ()) for n in DECLARED],
+)
+def test_who_declares_that_it_depends_on_link_frames_does(name: str) -> None:
+    """By more than the kit allows others, so that a ranking leaves no method out without need."""
+    estimator = build("estimator", name)
+    noisy = [case.problem for case in estimator_cases(False) if not case.exact]
+    moved = [frame_deviation(estimator, one, identify(estimator, one)) for one in noisy]
+    assert max(one for one in moved if one is not None) > UNMOVED_SHARE
+
+
+def test_moved_frames_leave_torques_and_rank() -> None:
+    for case in estimator_cases(False):
+        problem, moved = case.problem, with_moved_frames(case.problem, np.random.default_rng(1))
+        assert moved.base.rank == problem.base.rank
+        np.testing.assert_allclose(moved.b, problem.b, atol=0)
+        fits = [np.linalg.lstsq(one.W, one.b, rcond=None)[0] for one in (problem, moved)]
+        torques = [one.W @ beta for one, beta in zip((problem, moved), fits, strict=True)]
+        scale = np.abs(torques[0]).max()
+        np.testing.assert_allclose(torques[0], torques[1], atol=1e-7 * scale)
+        assert not np.allclose(fits[0], fits[1])
+
+
+@dataclass(frozen=True)
+class Favourite:
+    """Least squares with one parameter of the file's choice set to zero."""
+
+    frame_dependent: str = ""
+
+    def solve(self, problem: Problem) -> Estimate:
+        beta = beta_of(problem)
+        beta[-1] = 0.0
+        return Estimate(beta)
+
+
+def test_an_undeclared_dependence_on_frames_is_found() -> None:
+    cases = [case for case in estimator_cases(False) if not case.exact]
+    assert "frames of the links" in "\n".join(failed_checks(check(Favourite(), cases)))
+    declared = failed_checks(check(Favourite("it favours one"), cases))
+    assert "frames of the links" not in "\n".join(declared)
 
 
 # --- Wrong on purpose ---------------------------------------------------------------------------

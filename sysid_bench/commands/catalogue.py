@@ -55,7 +55,8 @@ def entries_of_kind(kind: str | None, robots_dir: Path | None = None) -> list[En
     registered = plugin_names.known(_singular(plural))
     with CallWorker(SECONDS, is_confined=True) as worker:
         plugins = [_plugin(_singular(plural), name, worker) for name in registered]
-    return found + [{"name": entry["name"], "title": entry["title"]} for entry in plugins]
+    shown = ("name", "title", "frame_dependent")
+    return found + [{key: one[key] for key in shown if key in one} for one in plugins]
 
 
 def find_entry(name: str, robots_dir: Path | None = None) -> tuple[str, Entry]:
@@ -119,6 +120,8 @@ def plugin_entry(argument: Mapping[str, str], channel: JobChannel | None = None)
         "at": plugin_names.known(kind)[name],
         "settings": settings,
     }
+    if reason := getattr(plugin, "frame_dependent", ""):
+        entry["frame_dependent"] = reason
     if kind == "task":
         declared = (key for key in TaskDefinition.__annotations__ if key != "name")
         entry |= {key: _json_value(getattr(plugin, key)) for key in declared}

@@ -8,6 +8,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from sysid_bench.evaluation.baselines import Baselines, baselines
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Estimate, Experiment, Problem, Row
+from sysid_bench.words import FRAME_DEPENDENT
 
 
 class Source(Protocol):
@@ -68,5 +69,8 @@ class ExperimentData(Generic[S_co]):
         scores = self.source.score(self, method, estimate)
         error = scores.get("torque_error")
         beaten = ", ".join(self.baselines.beaten_by(error))
+        declared = getattr(method, FRAME_DEPENDENT, "")
+        if declared:
+            scores = {FRAME_DEPENDENT: declared, **scores}
         # A source may judge otherwise.
         return {"beaten_by": beaten, "gap_closed": self.baselines.gap_closed(error), **scores}

@@ -206,6 +206,7 @@ def _estimator_facts(name: str) -> Table:
     facts = {
         "Assumes": " ".join(filter(_ASSUMPTION.search, sentences)),
         "Bias": str(getattr(resolve("estimator", name), "bias", "")),
+        "Not ranked": str(getattr(resolve("estimator", name), "frame_dependent", "")),
         "Reads": _reads(name),
         "Cost": " ".join(filter(_COST.search, sentences)),
         "Source": "; ".join(sources(name)),

@@ -10,6 +10,7 @@ import numpy as np
 from sysid_bench.evaluation.intervals import REPEATS
 from sysid_bench.evaluation.repeat_statistic import SETTING
 from sysid_bench.metrics import METRICS, REASONS
+from sysid_bench.reporting.baseline_rows import BASELINES, CAPTION, ERROR, with_baselines
 from sysid_bench.reporting.selection import (
     SWEEPABLE,
     Choose,
@@ -22,7 +23,7 @@ from sysid_bench.reporting.selection import (
 from sysid_bench.reporting.table_entries import Entries, table_entries
 from sysid_bench.reporting.tables import ABSENT, Key, Table
 from sysid_bench.types import Metric
-from sysid_bench.words import INTERVAL_LIMITS, OF_REPEATS, STD_FROM
+from sysid_bench.words import FRAME_DEPENDENT, INTERVAL_LIMITS, OF_REPEATS, STD_FROM
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -132,6 +133,8 @@ def _competitions(table: Table) -> Iterator[list[_Position]]:
         shared = {*table.row_fields, "plant"}
     groups: dict[tuple[Key, str], list[_Position]] = {}
     for key in table.entries:
+        if BASELINES.keys() & {*sum(key, ())}:
+            continue
         labels = zip(fields, sum(key, ()), strict=True)
         competition = tuple(part for field, part in labels if field in shared)
         groups.setdefault((competition, table.metric_of(key[1]).name), []).append(key)
@@ -164,6 +167,11 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
             "Plant and candidate models share step and integrator, or the simulator, in "
             f"{same} of {len(cells)} cells: errors of methods that simulate are too small there."
         )
+    if "estimator" in layout.fields and FRAME_DEPENDENT in cells.columns:
+        of = cells[~cells[FRAME_DEPENDENT].isin(["", "none"])]
+        methods = ", ".join(dict.fromkeys(map(label, of["estimator"])))
+        if methods:
+            yield f"Depends on the frames of the links that the model file has: {methods}."
     for metric in layout.metrics:
         yield from _names(cells, layout, metric)
         # Reasons for which cells have no value, with the number of cells of each
@@ -237,9 +245,12 @@ def build_table(
     chosen = select_rows(cells, spec, choose)
     # Only columns that the table can show are turned into text: rows have hundreds.
     chosen = with_labels(chosen[[name for name in chosen.columns if name in kept]])
-    entries = table_entries(chosen, layout, parameters)
+    has_baselines = "estimator" in layout.fields and spec.get("baselines", True)
+    is_error = any(metric.name == ERROR for metric in layout.metrics)
+    shown = with_baselines(chosen) if has_baselines and is_error else chosen
+    entries = table_entries(shown, layout, parameters)
     fields = len(layout.columns)
-    columns = _ordered(chosen, layout.columns, (column[:fields] for _, column in entries))
+    columns = _ordered(shown, layout.columns, (column[:fields] for _, column in entries))
     if layout.has_metric_columns:  # each of them below every other label
         columns = tuple((*key, metric.name) for key in columns for metric in layout.metrics)
     table = Table(
@@ -250,10 +261,13 @@ def build_table(
         interval=layout.interval,
         row_fields=layout.rows,
         column_fields=layout.column_fields,
-        rows=_ordered(chosen, layout.rows, (row for row, _ in entries)),
+        rows=_ordered(shown, layout.rows, (row for row, _ in entries)),
         columns=columns,
         entries=entries,
-        notes=tuple(table_notes(chosen, layout, entries)),
+        notes=(
+            *table_notes(chosen, layout, entries),
+            *([CAPTION] if len(shown) > len(chosen) else ()),
+        ),
         repeats=int(chosen["repeat"].nunique()) if "repeat" in chosen.columns else 0,
     )
     # A number over several realism levels belongs to none, and is not the best of any.
@@ -273,7 +287,9 @@ def table_fields(fields: Iterable[str], metrics: Iterable[str]) -> frozenset[str
     """Columns of cells that a table of some fields and metrics can show or explain."""
     names = list(metrics)
     more = [text for name in names for text in (f"{name}_names", f"{REASONS}.{name}")]
-    always = ("id", "status", "repeat", "same_simulator")
+    always = ["id", "status", "repeat", "same_simulator", FRAME_DEPENDENT]
+    if ERROR in names:
+        always += ["experiment", *BASELINES.values()]
     return frozenset((*always, *SWEEPABLE, *SETTING, *fields, *names, *more))
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec
 import numpy as np
 
 from sysid_bench.errors import UsageError
+from sysid_bench.reporting.baseline_rows import BASELINES
 from sysid_bench.reporting.tables import ABSENT, NO_ENTRY, Entry, Key, Table
 
 if TYPE_CHECKING:
@@ -127,6 +128,14 @@ def figure(table: Table, width: float = WIDTH) -> "Figure":
     """Draw a table: a heat map where one field meets one field and neither is the estimator (robot
     x payload), dots with intervals otherwise."""
     fields = (*table.row_fields, *table.column_fields)
+    if "estimator" in fields:
+        # Trivial predictions would stretch the axis that methods are compared on.
+        rows, columns = (
+            tuple(key for key in keys if BASELINES.keys().isdisjoint(key))
+            for keys in (table.rows, table.columns)
+        )
+        kept = {k: e for k, e in table.entries.items() if k[0] in rows and k[1] in columns}
+        table = replace(table, rows=rows, columns=columns, entries=kept)
     # A map shows levels; estimators are compared with each other, which takes a common axis.
     is_map = len(table.row_fields) == len(table.column_fields) == 1 and "estimator" not in fields
     return _heat_map(table, width) if is_map and len(_panels(table)) == 1 else _dots(table, width)

@@ -30,11 +30,12 @@ from sysid_bench.evaluation.robot_statistic import (
     win_rates,
 )
 from sysid_bench.metrics import METRICS, metric_of
+from sysid_bench.reporting.baseline_rows import BASELINES, ERROR, with_baselines
 from sysid_bench.reporting.selection import Choose, label, select_rows
 from sysid_bench.reporting.tables import Key
 from sysid_bench.types import Array, Metric
 from sysid_bench.units import quantity
-from sysid_bench.words import LABELS, MARGIN, REFERENCE
+from sysid_bench.words import FRAME_DEPENDENT, LABELS, MARGIN, REFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,10 +78,11 @@ def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
     names = [name for name in _CASE if name in cells.columns]
     lines = _answer_lines(cells, names, metric)
     methods = list(dict.fromkeys(lines["estimator"]))
-    if len(methods) < 2:
+    entered = [method for method in methods if method not in BASELINES]
+    if len(entered) < 2:
         raise UsageError(
             f"A ranking by {metric.name} compares methods, and 'select' leaves "
-            f"{', '.join(methods) or 'none'}."
+            f"{', '.join(entered) or 'none'}."
         )
     # In the order of the labels: draws of robots do not depend on which rows came first.
     rows = lines.drop_duplicates([*names, "estimator"]).set_index([*names, "estimator"])
@@ -289,12 +291,14 @@ class Ranking:
     margin: float
     is_replaced: bool  # unconverged answers count as those of the reference
     comparisons: tuple[MethodRatio, ...]
+    baselines: tuple[MethodRatio, ...]  # null model and floors, which are no methods
     family: tuple[str, ...]
     same: Mapping[str, str]
     cases: RankingCases = field(repr=False)
     # p of a difference and of equivalence by method, corrected over `verdicts` of all rankings.
     corrected: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     verdicts: int = 0
+    left_out: Mapping[str, str] = field(default_factory=dict)  # methods, and why
 
     @property
     def method_names(self) -> tuple[str, ...]:
@@ -367,10 +371,22 @@ def rank_cells(
             raise unknown_name("field of the cells", name, map(str, cells.columns))
     metric = metric_of(str(spec["metric"]), metrics)
     kept = select_rows(cells, spec, choose)
+    against, left_out = str(spec.get("against", REFERENCE)), {}
+    if FRAME_DEPENDENT in kept:
+        # Who wrote the model file would be ranked, and not the method.
+        reasons = kept[kept[FRAME_DEPENDENT].notna()].drop_duplicates("estimator")
+        left_out = dict(zip(reasons["estimator"].map(label), reasons[FRAME_DEPENDENT], strict=True))
+        left_out.pop(against, None)
+        kept = kept[~kept["estimator"].map(label).isin(left_out)]
+        family = [name for name in spec.get("family", ()) if name not in left_out]
+        spec = {**spec, "family": family}
+    if metric.name == ERROR:
+        kept = with_baselines(kept)
     groups = kept.groupby(apart, sort=False) if apart else [((), kept)]
     for key, group in groups:
         values = tuple(map(label, key if isinstance(key, tuple) else (key,)))
-        yield _ranking(ranking_cases(group, metric), spec, values, metric)
+        ranking = _ranking(ranking_cases(group, metric), spec, values, metric)
+        yield replace(ranking, left_out=left_out)
 
 
 def correct_together(rankings: Iterable[Ranking]) -> tuple[Ranking, ...]:
@@ -404,14 +420,19 @@ def entry_with_cells(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str
 def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: Metric) -> Ranking:
     title = str(spec.get("title") or f"Methods by {metric.title}")
     against, margin = str(spec.get("against", REFERENCE)), quantity(spec.get("margin", MARGIN), "%")
-    family = tuple(spec.get("family", ())) or cases.methods
+    methods = tuple(name for name in cases.methods if name not in BASELINES)
+    family = tuple(spec.get("family", ())) or methods
     for method in (against, *family):
-        if method not in cases.methods:
-            raise unknown_name("method of this ranking", method, cases.methods)
+        if method not in methods:
+            raise unknown_name("method of this ranking", method, methods)
     is_replaced = spec.get("unconverged") == "replaced"
     # The reference stands first in its class: a copy of it is not compared with it.
-    ordered = (against, *(method for method in cases.methods if method != against))
-    found = [method_ratio(cases, method, against, margin, is_replaced) for method in ordered]
+    ordered = (against, *(method for method in methods if method != against))
+    of_baselines = (name for name in BASELINES if name in cases.methods)
+    found, baselines = (
+        [method_ratio(cases, name, against, margin, is_replaced) for name in names]
+        for names in (ordered, of_baselines)
+    )
 
     def order(one: MethodRatio) -> tuple[float, str]:
         """Median of the deciding ratios, then the name; without any robot last."""
@@ -426,6 +447,7 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
         margin=margin,
         is_replaced=is_replaced,
         comparisons=tuple(sorted(found, key=order)),
+        baselines=tuple(baselines),
         family=family,
         same=find_copied(cases, ordered),
         cases=cases,

@@ -1,7 +1,7 @@
 """Tables of a ranking: verdicts, what the methods answered, and who beats whom."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import permutations
+from itertools import chain, permutations
 from typing import Final
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from sysid_bench.errors import count_text
 from sysid_bench.evaluation.intervals import ROBOTS, level_text, median_ranks
 from sysid_bench.evaluation.robot_statistic import RatioFigure, least_p, robots_needed
+from sysid_bench.reporting.baseline_rows import CAPTION
 from sysid_bench.reporting.ranking import ALIKE, BROKEN, MOST_FALLBACKS, MethodRatio, Ranking
 from sysid_bench.reporting.tables import METRIC, NO_ENTRY, Entry, Key, Table
 from sysid_bench.types import Metric
@@ -66,7 +67,8 @@ def verdict_table(ranking: Ranking) -> Table:
         f"than {100 * MOST_FALLBACKS:g} % of the cases have no own answer, "
         "neither better nor equivalent."
     )
-    return _table(ranking, "", "", _VERDICTS, _verdict_row, (caption, _notes(ranking)))
+    notes = chain(_notes(ranking), [CAPTION] if ranking.baselines else ())
+    return _table(ranking, "", "", _VERDICTS, _verdict_row, (caption, notes))
 
 
 def _finite(x: float) -> float | None:
@@ -76,8 +78,8 @@ def _finite(x: float) -> float | None:
 def _verdict_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
     rank = ranking.rank_interval.get(one.method)
     corrected = ranking.corrected.get(one.method)
-    is_reference = one.method == ranking.against
-    # The reference against itself is not a comparison.
+    # The reference against itself is not a comparison, nor is that of a baseline a test.
+    is_reference = one.method == ranking.against or one in ranking.baselines
     tested = NO_ENTRY if is_reference or not one.robots else _number(one.p)
     return (
         NO_ENTRY if rank is None else _number(*map(_finite, rank)),
@@ -95,6 +97,8 @@ def _verdict_row(ranking: Ranking, one: MethodRatio) -> tuple[Entry, ...]:
 def verdict_of(ranking: Ranking, one: MethodRatio) -> str:
     """Verdict on a method; "reference" for that itself, "same as" for a copy of it, "not tested"
     for one outside of the family."""
+    if one in ranking.baselines:
+        return "baseline"
     if one.method == ranking.against:
         return "reference"
     if ranking.same.get(one.method) == ranking.against:
@@ -149,9 +153,10 @@ def _table(
     """A table with a row per method and a column per metric; `texts`: its caption and notes."""
     caption, notes = texts
     columns = tuple((metric.name,) for metric in metrics)
+    lines = (*ranking.comparisons, *(() if suffix else ranking.baselines))
     entries: dict[tuple[Key, Key], Entry] = {
         ((one.method,), column): entry
-        for one in ranking.comparisons
+        for one in lines
         for column, entry in zip(columns, row(ranking, one), strict=True)
     }
     return Table(
@@ -162,7 +167,7 @@ def _table(
         interval="ci95",
         row_fields=("estimator",),
         column_fields=(METRIC,),
-        rows=tuple((method,) for method in ranking.method_names),
+        rows=tuple((one.method,) for one in lines),
         columns=columns,
         entries=entries,
         notes=tuple(notes),
@@ -191,6 +196,8 @@ def _notes(ranking: Ranking) -> Iterator[str]:
     for first in dict.fromkeys(ranking.same.values()):
         copies = ", ".join(method for method, one in ranking.same.items() if one == first)
         yield f"Same answers as {first} (errors within {ALIKE:g}), counted once: {copies}."
+    for method, reason in ranking.left_out.items():
+        yield f"Not ranked: {method}: {reason}."
     r = cases.methods.index(ranking.against)
     lost = int((cases.with_ratio & cases.has_row[:, r] & np.isnan(cases.errors[:, r])).sum())
     counts = {

@@ -87,7 +87,18 @@ def select_rows(
 
 
 _SPEC_KEYS: Final = (
-    *("name", "title", "rows", "columns", "cells", "metrics", "best", "select", "effects"),
+    *(
+        "name",
+        "title",
+        "rows",
+        "columns",
+        "cells",
+        "metrics",
+        "best",
+        "select",
+        "effects",
+        "baselines",
+    ),
 )
 _CELL_KEYS: Final = ("metric", "stat", "interval")
 

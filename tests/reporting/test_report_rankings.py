@@ -15,6 +15,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.robot_statistic import equivalence_p, least_p, rank_test_p, verdict
 from sysid_bench.metrics import METRICS
 from sysid_bench.reporting import ranking as rankings
+from sysid_bench.reporting.build_table import build_table
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.ranking import (
     RATIOS,
@@ -398,6 +399,21 @@ def test_answers_are_the_same_up_to_a_ten_thousandth(share: float, is_copy: bool
     cells.loc[first, "torque_error"] = np.nan
     [ranking] = ranked(cells)
     assert not ranking.same
+
+
+def test_a_method_that_depends_on_link_frames_is_not_ranked() -> None:
+    """Nor counted in the correction; tables and rankings say which, and why."""
+    cells, reason = fabricate(), "it favours an axis"
+    cells["frame_dependent"] = cells["estimator"].map({"poor": reason})
+    [ranking] = ranked(cells, family=["good", "poor"])
+    assert "poor" not in ranking.method_names
+    assert ranking.verdicts == 1
+    assert f"Not ranked: poor: {reason}." in verdict_table(ranking).notes
+    table = {"name": "t", "rows": ["estimator"], "metrics": ["torque_error"]}
+    assert any("poor" in note for note in build_table(cells, table).notes)
+    # The reference stays, since all ratios refer to it.
+    [ranking] = ranked(cells, against="poor")
+    assert "poor" in ranking.method_names
 
 
 def test_a_part_of_a_run_has_the_members_of_the_family_that_ran() -> None:

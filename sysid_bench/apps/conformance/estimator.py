@@ -17,8 +17,11 @@ from sysid_bench.apps.conformance.findings import Finding, Kit, KitCase, Law, fa
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.tasks.prior import PriorSpread, prior_std, std_with_floor
+from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.least_squares import stacked_factor
+from sysid_bench.identification.linear.least_squares import row_noise, stacked_factor
+from sysid_bench.spatial import phi_of_pseudo_inertia, pseudo_inertia
 from sysid_bench.types import Array, Estimate, Experiment, Factor, Prior, Problem, RowBlock
 
 # `replace` makes a new object each time, so that the cached `Problem.stacked` is not inherited.
@@ -57,11 +60,63 @@ def first_samples(problem: Problem, samples: int) -> Problem:
     return replace(problem, factors=tuple(factors), blocks=lambda: iter([(Y, b)]), samples=len(b))
 
 
+def with_moved_frames(problem: Problem, rng: np.random.Generator) -> Problem:
+    """The same problem with the frames of its links turned, and moved by 0.1 m: other inertial
+    parameters, another choice of base parameters, the same torques. The deviations of a prior are
+    those that its values have in the new frames."""
+    index = {name: i for i, name in enumerate(problem.parameters)}
+    turn, std = np.eye(len(index)), None if problem.prior is None else problem.prior.std.copy()
+    bodies = [np.array([index[name] for name in body.columns]) for body in problem.bodies]
+    for columns in bodies:
+        pose = np.eye(4)
+        pose[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        pose[:3, :3] *= np.sign(np.linalg.det(pose[:3, :3]))
+        pose[:3, 3] = rng.normal(0.0, 0.1, 3)
+        # J' = T J T': the second moments of the mass in the new frame, by columns.
+        moved = pose @ pseudo_inertia(np.eye(10)) @ pose.T
+        turn[np.ix_(columns, columns)] = phi_of_pseudo_inertia(moved).T
+    back = np.linalg.inv(turn)
+    sizes = problem.base.singular_values[: problem.base.rank, None]
+    base = base_map(sizes * (problem.base.K if (V := problem.base.row_space) is None else V) @ back,
+                    problem.parameters)  # fmt: skip
+    # beta' = C beta, and W' = W C^-1.
+    C = base.K @ turn @ np.linalg.pinv(problem.base.K)
+    inverse, r = np.linalg.inv(C), problem.base.rank
+    factors = []
+    for factor in problem.factors:
+        whole = np.zeros((max(len(factor.R), r + 1), r + 1))
+        whole[: len(factor.R), [*factor.columns, r]] = factor.R
+        whole[:, :r] = whole[:, :r] @ inverse
+        # A row counts the parameters that it depends on: what is rounding is none.
+        size = np.linalg.norm(whole[:, :r], axis=0)
+        columns = np.flatnonzero(size > ROUNDING * size.max(initial=0.0))
+        R = np.asarray(np.linalg.qr(whole[:, [*columns, r]], mode="r"))
+        factors.append(replace(factor, R=R, columns=columns))
+    prior = problem.prior
+    if prior is not None and std is not None:
+        theta = turn @ prior.theta
+        for columns in bodies:
+            std[columns] = prior_std(theta[columns], PriorSpread())
+        prior = Prior(theta, std_with_floor(std, problem.parameters))
+    file = None if problem.file is None else turn @ problem.file
+    return _with_blocks(
+        problem, lambda Y, b: (Y @ inverse, b), factors=tuple(factors), base=base, prior=prior,
+        file=file,
+    )  # fmt: skip
+
+
+ROUNDING: Final = 1e-9
+"""Share of the largest column of a row that is rounding of a change of parameters."""
+
 EXACT: Final = 1e-8
 """Largest |beta - beta*| / |beta*| of a consistent method on exact data."""
 
 SAME: Final = 1e-5
 """Largest relative difference between the torques of two estimates that have to agree."""
+
+UNMOVED_SHARE: Final = 0.01
+"""Largest part of a standard deviation by which other frames of the links may move an answer: it
+adds 0.005 % to the spread, which no comparison sees."""
 
 UNMOVED: Final = 1e-9
 """Relative distance below which an estimate equals the (wrong) prior, or zero."""
@@ -169,6 +224,29 @@ class _EstimatorKit(Kit[TestProblem]):
         other = _with_blocks(problem, lambda Y, b: (Y[:, ::-1], b[:, ::-1]), **turned)
         return self._differs(other)
 
+    @Law("does not depend on names")
+    def names(self) -> str | None:
+        """Other names of joints and bodies, with the kinds of their parameters: the same values."""
+        return self._differs(_renamed(self.case.problem))
+
+    @Law("does not depend on the frames of the links")
+    def frames(self) -> str | None:
+        """Frames turned and moved: the same torques, to 1 % of their deviations; a method that does
+        not declares `frame_dependent`, and is not ranked."""
+        problem = self.case.problem
+        is_declared = bool(getattr(self.plugin, "frame_dependent", ""))
+        # Without noise there is no deviation to compare with.
+        if self.case.exact or is_declared or not hasattr(self.plugin, "solve"):
+            return None
+        moved = frame_deviation(self.plugin, problem, self.result)
+        if moved is None or moved <= UNMOVED_SHARE:
+            return None
+        return (
+            f"other link frames move its answer by {moved:.1e} of a standard deviation; "
+            f"{UNMOVED_SHARE:g} is allowed. A method that depends on them says why in a class "
+            "attribute 'frame_dependent'"
+        )
+
     def _differs(self, other: Problem, factor: float = 1.0) -> str | None:
         """Violation where the solution of `other` is not `factor` times the first one."""
         if not hasattr(self.plugin, "solve"):
@@ -236,6 +314,47 @@ class _EstimatorKit(Kit[TestProblem]):
         if uses_data or is_prior:
             return None
         return "it declares uses_data = False, and its estimate is not the prior"
+
+
+def frame_deviation(estimator: Any, problem: Problem, result: Estimate) -> float | None:
+    """Return how far other frames of the links move the answer `result`, in standard deviations of
+    weighted least squares (RMS over base parameters); None without an answer in one of them,
+    infinite where other frames lose it."""
+    moved = with_moved_frames(problem, np.random.default_rng(3))
+    other = identify(estimator, moved)
+    if result.beta is None or result.status != "ok":
+        return None
+    if other.beta is None or other.status != "ok":
+        return np.inf
+    sigma, squares = row_noise(problem), 0.0
+    for (W, _), (V, _) in zip(problem.blocks(), moved.blocks(), strict=True):
+        squares += float((((W @ result.beta - V @ other.beta) / sigma) ** 2).sum())
+    return float(np.sqrt(squares / problem.base.rank))
+
+
+def _renamed(problem: Problem) -> Problem:
+    """The problem with other names of its bodies and joints."""
+    owners = dict.fromkeys(name.rpartition(".")[0] for name in problem.parameters)
+    known = {owner: f"part{len(owners) - k}" for k, owner in enumerate(owners)}
+
+    def renamed(names: Sequence[str]) -> tuple[str, ...]:
+        parts = (name.rpartition(".") for name in names)
+        return tuple(f"{known[owner]}.{kind}" for owner, _, kind in parts)
+
+    bodies = tuple(
+        replace(body, name=f"body{k}", columns=renamed(body.columns))
+        for k, body in enumerate(problem.bodies)
+    )
+    rows = {row: f"row{k}" for k, row in enumerate(problem.rows)}
+    return replace(
+        problem,
+        parameters=renamed(problem.parameters),
+        base=replace(problem.base, parameters=renamed(problem.base.parameters)),
+        bodies=bodies,
+        rows=tuple(rows.values()),
+        factors=tuple(replace(factor, row=rows[factor.row]) for factor in problem.factors),
+        signed=None if problem.signed is None else renamed(problem.signed),
+    )
 
 
 def _relative(difference: Array, reference: Array) -> float:

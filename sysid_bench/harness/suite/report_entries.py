@@ -71,6 +71,7 @@ class TableEntry(SuiteTable):
     select: RowCondition | None = None  # condition on rows
     effects: StrictBool = False
     """Main effects of rows and columns as ratios: what a pipeline and what a method contributes."""
+    baselines: StrictBool = True  # null model and floors beside the torque errors of methods
 
     @model_validator(mode="after")
     def _effects_have_two_sides(self) -> "TableEntry":

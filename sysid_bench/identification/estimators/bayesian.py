@@ -99,6 +99,9 @@ class APriori(WeightedPrior):
     noise per joint. Tarantola (2005).
     """
 
+    frame_dependent: ClassVar[str] = (
+        "the prior has deviations of single parameters, which other frames of the links correlate"
+    )
     bias: ClassVar[str] = "drawn towards the prior, less so the more exact the data are"
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
@@ -133,6 +136,9 @@ class Ridge:
     """
 
     weight: float | str | None = None
+    frame_dependent: ClassVar[str] = (
+        "it depends on the choice of base parameters, and so on the frames of the links"
+    )
     bias: ClassVar[str] = (
         "drawn towards zero by the weight; unbiased for exact data without a weight"
     )
@@ -196,6 +202,9 @@ class GuardedWLS:
     exact and white noise per joint. Stone (1974); Tarantola (2005).
     """
 
+    frame_dependent: ClassVar[str] = (
+        "the prior has deviations of single parameters, which other frames of the links correlate"
+    )
     bias: ClassVar[str] = "drawn towards the prior where the motion determines a direction weakly"
 
     def solve(self, problem: Problem) -> Estimate:

@@ -103,6 +103,9 @@ class LMIEuclidean(_FeasiblePrior):
     """
 
     margin: float = 1e-7
+    frame_dependent: ClassVar[str] = (
+        "the prior has deviations of single parameters, which other frames of the links correlate"
+    )
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, prior = feasible_set_of(problem), find_prior(problem)
@@ -184,6 +187,9 @@ class LogCholesky(_FeasiblePrior):
     """
 
     iterations: int = 400  # of each stage
+    frame_dependent: ClassVar[str] = (
+        "the weight acts on coordinates of the bodies that the frames of the links choose"
+    )
 
     def _fit(self, problem: Problem, weight: float) -> Estimate:
         feasible, x0, _ = feasible_prior(problem)

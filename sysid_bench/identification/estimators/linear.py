@@ -1,6 +1,7 @@
 """Closed-form least squares on the base parameters, without a prior."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import pinv, qr
@@ -92,6 +93,10 @@ class TLS:
     and Vandewalle (1991), section 8.3; Gautier, Vandanjon, Presse (1994).
     """
 
+    frame_dependent: ClassVar[str] = (
+        "it depends on the choice of base parameters, and so on the frames of the links"
+    )
+
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the motion does not excite
         every direction or the errors exceed the least excited direction."""
@@ -161,6 +166,9 @@ class Essential:
 
     ratio: float = 20.0
     level: float = 0.05
+    frame_dependent: ClassVar[str] = (
+        "it depends on the choice of base parameters, and so on the frames of the links"
+    )
 
     def solve(self, problem: Problem) -> Estimate:
         """Return beta and its covariance; raises EstimationError where the motion does not excite

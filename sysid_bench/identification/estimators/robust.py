@@ -9,7 +9,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.special import chdtr, chdtri
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.least_squares import with_floor
+from sysid_bench.identification.linear.least_squares import row_ranks, with_floor
 from sysid_bench.identification.linear.refined_fit import fixed_point, refined_m_estimate
 from sysid_bench.identification.linear.reweighted_rows import (
     Loss,
@@ -106,8 +106,8 @@ class IRLS:
     Lambda is updated from the residuals until a step changes the torques by less than 1e-10 of
     them. Samples whose chi-square is as improbable as `cut` standard deviations of one variable are
     rejected (3: one of 370); Lambda is corrected for the variance that rejection removes, with
-    sqrt((N - b_i)(N - b_j)) degrees of freedom, b_j base parameters on joint j. Assumes W exact and
-    noise white in time. Han, Wu, Liu, Xiong (2020).
+    sqrt((N - b_i)(N - b_j)) degrees of freedom, b_j the rank of the rows of joint j. Assumes W
+    exact and noise white in time. Han, Wu, Liu, Xiong (2020).
     """
 
     cut: float = 3.0
@@ -118,7 +118,8 @@ class IRLS:
         motion does not excite every direction."""
         rows, beta = streamed_rows(problem)
         # Joints that no parameter acts on have no residual to whiten.
-        felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
+        acting = row_ranks(problem)
+        felt = acting > 0
         k = int(felt.sum())
         # Chi-square of k Gaussian variables that is exceeded as often as `cut` by one of them.
         farthest = float(chdtri(k, erfc(self.cut / sqrt(2)))) if self.cut < 30 else np.inf
@@ -126,7 +127,7 @@ class IRLS:
         def weights(some: StreamedRows, beta: Array) -> _AcrossJoints:
             # Robust scales first: in a plain covariance an outlier would hide itself.
             whiten = np.diag(1 / row_scale(some, beta)[felt])
-            return _AcrossJoints(some.problem, felt, farthest, whiten)
+            return _AcrossJoints(some.problem, acting, farthest, whiten)
 
         fit, part, used = fixed_point(rows, beta, self.iterations, weights, hold_after=HOLD_AFTER)
         rejected = float(problem.samples - used.counted.sum())
@@ -137,9 +138,9 @@ class _AcrossJoints:
     """Weights of samples whitened by the covariance of their residuals, without those whose squares
     are above `farthest`; these are held after HOLD_AFTER changes."""
 
-    def __init__(self, problem: Problem, felt: Array, farthest: float, whiten: Array) -> None:
-        self.problem, self.felt, self.farthest, self.whiten = problem, felt, farthest, whiten
-        k = len(whiten)
+    def __init__(self, problem: Problem, acting: Array, farthest: float, whiten: Array) -> None:
+        self.problem, self.acting, self.farthest, self.whiten = problem, acting, farthest, whiten
+        self.felt, k = acting > 0, len(whiten)  # rank of each row; zero where nothing acts
         # The share of the variance of k Gaussian variables within `farthest`.
         self.share = (
             float(chdtr(k + 2, farthest) / chdtr(k, farthest)) if farthest < np.inf else 1.0
@@ -159,14 +160,14 @@ class _AcrossJoints:
 
     def change(self, step: float = np.inf) -> None:
         """Whiten by the covariance of the residuals seen since the last call."""
-        self.whiten = _whitening(self.problem, self.felt, self.products / self.share, self.used)
+        self.whiten = _whitening(self.problem, self.acting, self.products / self.share, self.used)
         self.changes += 1
         self.held = self.held or self.changes >= HOLD_AFTER or step < HOLD_STEP
         self.products, self.used = np.zeros_like(self.products), 0
 
     def of(self, problem: Problem) -> "_AcrossJoints":
         """The same whitening for the samples of another problem."""
-        return _AcrossJoints(problem, self.felt, self.farthest, self.whiten)
+        return _AcrossJoints(problem, self.acting, self.farthest, self.whiten)
 
     def weighting(self) -> Weighting:
         """The weights of now."""
@@ -187,15 +188,15 @@ class _AcrossJoints:
         return Weighting(values, rows)
 
 
-def _whitening(problem: Problem, felt: Array, products: Array, used: int) -> Array:
+def _whitening(problem: Problem, acting: Array, products: Array, used: int) -> Array:
     """C^-1/2 D^-1 (k, k) of the covariance D C D of `used` residuals with the sums of products
     (k, k), D their standard deviations.
 
     The symmetric root treats all joints alike; a floor above rounding keeps the covariance of exact
     data regular.
     """
-    acting = np.array([len(factor.columns) for factor in problem.factors])[felt]
-    freedom = np.maximum(used - acting, 1.0)
+    felt = acting > 0
+    freedom = np.maximum(used - acting[felt], 1.0)
     floor = with_floor(problem, np.zeros(len(problem.factors)))[felt]
     deviations = np.sqrt(np.diag(products) / freedom + floor**2)
     scale = np.sqrt(freedom) * deviations
@@ -276,8 +277,9 @@ class _InTime:
 
     def __init__(self, problem: Problem, order: int) -> None:
         self.problem, self.order = problem, order
-        # Columns of each row and coefficients of its filter are estimated from its samples.
-        acting = np.array([len(factor.columns) for factor in problem.factors])
+        # The rank of each row and the coefficients of its filter are estimated from its samples;
+        # the number of its columns depends on the choice of base parameters.
+        acting = row_ranks(problem)
         self.freedom = np.maximum(problem.samples - 2 * order - acting, 1)
         self.taps, self.sigma = np.zeros((len(acting), order + 1)), np.ones(len(acting))
         self._restart()

@@ -154,22 +154,40 @@ def row_noise(problem: Problem) -> Array:
 
     A separate fit excludes the misfit of other rows: its expected variance is that of the row.
     """
-    sizes = np.zeros(problem.base.rank)
+    norms = _column_norms(problem)
+    sigma = [_own_sigma(f, own) for f, own in zip(problem.factors, norms, strict=True)]
+    return with_floor(problem, np.array(sigma))
+
+
+def row_ranks(problem: Problem) -> Array:
+    """Return the rank (rows,) of the columns of each row, which no choice of base parameters
+    changes, as it does their number."""
+    ranks = []
+    for factor, norms in zip(problem.factors, _column_norms(problem), strict=True):
+        values = np.linalg.svd(factor.R[:, :-1] / norms, compute_uv=False)
+        ranks.append(int((values > EXCITED * values.max(initial=0.0)).sum()))
+    return np.array(ranks)
+
+
+def _column_norms(problem: Problem) -> list[Array]:
+    """Norms of the columns of each row, infinite for those that are rounding."""
+    sizes, norms = np.zeros(problem.base.rank), []
     for factor in problem.factors:
         # What is rounding in one row is judged by the size that its column has in any other.
         np.maximum.at(sizes, factor.columns, np.linalg.norm(factor.R[:, :-1], axis=0))
-    return with_floor(problem, np.array([_own_sigma(factor, sizes) for factor in problem.factors]))
+    for factor in problem.factors:
+        # A column that is rounding error here, such as gravity about a vertical axis, is none:
+        # divided by its norm it would explain noise, and another share of it with every rounding.
+        own = np.linalg.norm(factor.R[:, :-1], axis=0)
+        norms.append(np.where(own > ROUNDING * sizes[factor.columns], own, np.inf))
+    return norms
 
 
-def _own_sigma(factor: Factor, sizes: Array) -> float:
-    """Noise of one row; `sizes` (r,): largest norm of each column in any row."""
+def _own_sigma(factor: Factor, norms: Array) -> float:
+    """Noise of one row; `norms` (k,) of its columns."""
     R, k = factor.R, len(factor.columns)
     if len(R) <= k:
         return 0.0
-    norms = np.linalg.norm(R[:, :k], axis=0)
-    # A column that is rounding error here, such as gravity about a vertical axis, is none: divided
-    # by its norm it would explain noise, and another share of it with every rounding.
-    norms = np.where(norms > ROUNDING * sizes[factor.columns], norms, np.inf)
     # Below the triangle of [W | b], the last column of R holds the residual alone.
     rank, rest = k, R[k:, k]
     if np.abs(np.diag(R)[:k] / norms).min(initial=1.0) <= EXCITED:
