@@ -8,6 +8,7 @@ import numpy as np
 
 from sysid_bench.diagnosis.diagnose_input import DiagnoseInput
 from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
+from sysid_bench.errors import count_text
 from sysid_bench.signals.log_checks import check_finite
 from sysid_bench.types import Array
 
@@ -262,8 +263,8 @@ def spikes(evidence: DiagnoseInput) -> Iterator[Finding]:
         names = evidence.names(np.array([len(one) > 0 for one in rows]))
         first = ", ".join(str(int(row) + 1) for row in found[0][:3])
         text = (
-            f"{sum(map(len, found))} spikes in the {word} of {', '.join(names)}, the first in "
-            f"samples {first}"
+            f"{count_text(sum(map(len, found)), 'spike')} in the {word} of {', '.join(names)}, the "
+            f"first in {'samples' if ',' in first else 'sample'} {first}"
         )
         edit = "remove these rows from the file, or use an estimator that is robust: huber"
         blind = "spikes of several samples"

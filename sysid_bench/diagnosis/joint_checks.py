@@ -65,6 +65,7 @@ SHARE: Final = 0.02
 """rad/s, m/s, and share of the RMS rate, below which a joint stands still."""
 MANY: Final = 0.5
 SOME: Final = 0.05
+ALL: Final = 0.99
 
 TOUCHES: Final = 4
 """Times that a torque has to come down to zero without ever crossing it: where noise is as large as
@@ -350,6 +351,8 @@ def standstill(evidence: DiagnoseInput) -> Iterator[Finding]:
         severity = WARNING if float(np.median(shares)) > MANY else NOTE
         text, names = f"joints at rest: {listed} of the samples", evidence.names(many)
         edit = "--pipeline parallel leaves these rows out; compare torque_error_moving"
+        if shares.min() > ALL:
+            edit = "check the unit of time and of q: no joint moves faster than that in any part"
         yield Finding("standstill", severity, text, names, edit=edit)
 
 

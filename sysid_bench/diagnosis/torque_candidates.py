@@ -286,7 +286,9 @@ def open_gains(evidence: DiagnoseInput) -> Iterator[Finding]:
 def _is_scale_open(before: Hypothesis) -> bool:
     """True where nobody states the unit of the torques, and gains of drives fit them as well."""
     tau, one = before.evidence.log.description.tau, np.eye(before.evidence.count)
-    if tau.unit is not None or tau.pd is not None or before.evidence.placeholder:
+    # Whoever states a gain or a ratio knows what they multiply.
+    is_stated = tau.unit is not None or tau.pd is not None or {*tau.gain, *tau.ratio} != {1.0}
+    if is_stated or before.evidence.placeholder:
         return False
     scores = [before.with_torque(one * gain).fit.score for gain in GAINS]
     return min(scores) < before.fit.score + NORMAL**2

@@ -55,6 +55,10 @@ def check_output(export: str | None, out: str | Path | None) -> str:
         raise UsageError(f"The folder {str(Path(out).parent)!r} of the motion does not exist.")
     if out is not None:
         check_replaceable(Path(out), STARTS, "a motion that excite wrote")
+    if out is not None and export is None and Path(out).suffix not in ("", ".csv"):
+        raise UsageError(
+            f"{str(out)!r} would hold CSV: name it *.csv, or give --export {' or '.join(EXPORTS)}."
+        )
     return kind
 
 

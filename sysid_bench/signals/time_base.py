@@ -55,9 +55,11 @@ def time_base(
     t, found = check_times(np.where(invalid, np.nan, stamps))
     steps, N = np.diff(t[np.isfinite(t)]), len(t)
     if len(steps) < SHORTEST:
-        raise UsageError(
-            f"{log.source}: only {len(steps) + 1} time stamps rise; is this the time column?"
-        )
+        falling = int((np.diff(stamps[np.isfinite(stamps)]) < 0).sum())
+        cure = "is this the time column?"
+        if 2 * falling > N:
+            cure = f"{falling} fall: write the rows in the order of time, or state rate instead."
+        raise UsageError(f"{log.source}: only {len(steps) + 1} of {N} time stamps rise; {cure}")
     step = float(np.median(steps))  # the median ignores gaps and jitter
     if step < FASTEST:
         raise UsageError(

@@ -902,24 +902,31 @@ typedef struct {
 
 static int64_t width_of(const Tree *t) { return t->nq + 3 * t->nv + (t->elastic ? 3 * t->nu : 0); }
 
+/* Numbers of sample k in a block, which holds one signal after the other: that of `number` numbers
+ * before it in a sample, with `own` numbers. */
+static inline V *block_place(const Group *g, int64_t number, int64_t own, int64_t k)
+{
+    return g->block + BLOCK * number + k % BLOCK * own;
+}
+
 static void record_state(const Tree *t, const Group *g, int64_t k)
 {
-    V *out = g->block + k % BLOCK * width_of(t);
-    memcpy(out, g->q, sizeof(V) * (size_t)t->nq);
-    memcpy(out + t->nq, g->v, sizeof(V) * (size_t)t->nv);
+    const int64_t nq = t->nq, nv = t->nv, nu = t->nu, motors = nq + 3 * nv;
+    memcpy(block_place(g, 0, nq, k), g->q, sizeof(V) * (size_t)nq);
+    memcpy(block_place(g, nq, nv, k), g->v, sizeof(V) * (size_t)nv);
     if (t->elastic) {
-        out += t->nq + 3 * t->nv;
-        memcpy(out, g->theta, sizeof(V) * (size_t)t->nu);
-        memcpy(out + t->nu, g->rate, sizeof(V) * (size_t)t->nu);
+        memcpy(block_place(g, motors, nu, k), g->theta, sizeof(V) * (size_t)nu);
+        memcpy(block_place(g, motors + nu, nu, k), g->rate, sizeof(V) * (size_t)nu);
     }
 }
 
 /* Accelerations and torques of a sample, from the acceleration `a` of the step that follows it. */
 static void record_step(const Tree *t, const Group *g, double h, const V *a, int64_t k)
 {
-    V *out = g->block + k % BLOCK * width_of(t) + t->nq + t->nv, *tau = out + t->nv;
-    V *of_motors = tau + t->nv + 2 * t->nu;
-    for (int64_t i = 0, m = 0; i < t->nv; i++) {
+    const int64_t nv = t->nv, before = t->nq + nv;
+    V *out = block_place(g, before, nv, k), *tau = block_place(g, before + nv, nv, k);
+    V *of_motors = block_place(g, before + 2 * nv + 2 * t->nu, t->nu, k);
+    for (int64_t i = 0, m = 0; i < nv; i++) {
         const int64_t motor = m < t->nu && t->motor[m] == i ? m++ : -1; /* motors are in order */
         out[i] = t->records_end ? a[i] : g->a[i];
         tau[i] = t->records_end ? torque_at_end(t, g, motor, i, h * a[i]) : g->motors[i];
@@ -930,23 +937,68 @@ static void record_step(const Tree *t, const Group *g, double h, const V *a, int
     }
 }
 
+#if defined(__clang__) || __GNUC__ >= 12
+#define PICK(x, y, ...) __builtin_shufflevector(x, y, __VA_ARGS__)
+#else
+#define PICK(x, y, ...) __builtin_shuffle(x, y, (I){__VA_ARGS__})
+#endif
+
+/* LANES numbers in lanes become LANES rows of numbers, `step` apart. */
+static inline void transpose(const V *x, double *y, int64_t step)
+{
+    V a[LANES];
+#if LANES == 8
+    V b[LANES];
+    for (int i = 0; i < 8; i += 2) {
+        a[i] = PICK(x[i], x[i + 1], 0, 8, 2, 10, 4, 12, 6, 14);
+        a[i + 1] = PICK(x[i], x[i + 1], 1, 9, 3, 11, 5, 13, 7, 15);
+    }
+    for (int i = 0; i < 8; i += 4)
+        for (int l = i; l < i + 2; l++) {
+            b[l] = PICK(a[l], a[l + 2], 0, 1, 8, 9, 4, 5, 12, 13);
+            b[l + 2] = PICK(a[l], a[l + 2], 2, 3, 10, 11, 6, 7, 14, 15);
+        }
+    for (int l = 0; l < 4; l++) {
+        a[l] = PICK(b[l], b[l + 4], 0, 1, 2, 3, 8, 9, 10, 11);
+        a[l + 4] = PICK(b[l], b[l + 4], 4, 5, 6, 7, 12, 13, 14, 15);
+    }
+#elif LANES == 4
+    for (int i = 0; i < 4; i += 2) {
+        a[i] = PICK(x[i], x[i + 1], 0, 4, 2, 6);
+        a[i + 1] = PICK(x[i], x[i + 1], 1, 5, 3, 7);
+    }
+    for (int l = 0; l < 2; l++) {
+        V low = PICK(a[l], a[l + 2], 0, 1, 4, 5), high = PICK(a[l], a[l + 2], 2, 3, 6, 7);
+        a[l] = low, a[l + 2] = high;
+    }
+#else
+    a[0] = PICK(x[0], x[1], 0, 2);
+    a[1] = PICK(x[0], x[1], 1, 3);
+#endif
+    for (int l = 0; l < LANES; l++)
+        memcpy(y + l * step, &a[l], sizeof(V));
+}
+
 /* Write the samples of a block up to k. */
 static void write_block(const Tree *t, const Group *g, const Call *c, const Record *out,
                         int64_t first, int64_t count, int64_t k)
 {
     double *const signals[] = {out->q, out->v, out->a, out->tau,
                                out->motor_q, out->motor_v, out->motor_a};
-    const int64_t start = k - k % BLOCK, width = width_of(t);
-    const double *from = (const double *)g->block;
+    const int64_t start = k - k % BLOCK;
+    int64_t number = 0;
     for (int s = 0; s < (t->elastic ? 7 : 4); s++) {
         const int64_t own = s == 0 ? t->nq : s < 4 ? t->nv : t->nu;
-        for (int64_t l = 0; l < count; l++) {
-            double *to = signals[s] + ((first + l) * c->samples + start) * own;
-            for (int64_t r = 0; r <= k - start; r++)
-                for (int64_t i = 0; i < own; i++)
-                    *to++ = from[(r * width + i) * LANES + l];
-        }
-        from += own * LANES;
+        const int64_t size = (k - start + 1) * own, plant = c->samples * own;
+        const V *from = block_place(g, number, own, 0);
+        double *to = signals[s] + first * plant + start * own;
+        int64_t i = 0;
+        for (; count == LANES && i + LANES <= size; i += LANES)
+            transpose(from + i, to + i, plant);
+        for (int64_t l = 0; l < count; l++)
+            for (int64_t r = i; r < size; r++)
+                to[l * plant + r] = from[r][l];
+        number += own;
     }
 }
 

@@ -109,10 +109,12 @@ class PlantBatch:
         lanes.restype = work.restype = ctypes.c_int64
         numbers = _in_lanes(self._numbers(), lanes())
         starts = [np.ascontiguousarray(x, float) for x in (self.q, self.v)]
-        states = np.array(
-            [np.concatenate([np.zeros(0), *start_states(plant.laws, q[: mj.nv], v).states])
-             for plant, q, v in zip(self.plants, *starts, strict=True)]
-        )  # fmt: skip
+        states = np.zeros(0)
+        if tree.arrays["law_states"].any():
+            states = np.array(
+                [np.concatenate(start_states(plant.laws, q[: mj.nv], v).states)
+                 for plant, q, v in zip(self.plants, *starts, strict=True)]
+            )  # fmt: skip
         inputs, reference = np.ascontiguousarray(self.control, float), np.array(mj.qpos0)
         arrays = (numbers, reference, *starts, states, inputs)
         call = _Call(
@@ -147,13 +149,14 @@ class PlantBatch:
             "law_numbers": [np.size(law.numbers) for law in laws],
             "law_states": [len(state) for state in states],
         }
+        loaded = any(law.kind in ("friction", "periodic") for law in laws)
         # At the reference of MuJoCo's springs, by degree of freedom
         springs = mj.qpos_spring[mj.jnt_qposadr[mj.dof_jntid]]
         return tree_in_c(
             self.plants[0].robot.tree, springs, whole, {"stick_rate": rates, "stick_share": shares},
             nu=len(drive.dofs), laws=len(laws), input=INPUTS[drive.input], elastic=elastic,
             at_end=at_end, records_end=records_end, most_pieces=MOST_PIECES,
-            needs_start=at_end != EXPLICIT and (bool(laws) or not records_end),
+            needs_start=at_end != EXPLICIT and (loaded or not records_end),
         )  # fmt: skip
 
     def _numbers(self) -> Array:
@@ -167,13 +170,14 @@ class PlantBatch:
         stiffness = np.array(mj.jnt_stiffness[mj.dof_jntid])
         own = [mj.dof_armature, mj.dof_damping, mj.dof_frictionloss, stiffness]
         terms = [np.tile(x, (K, 1)) for x in (*own, np.zeros(mj.nv))]
+        scalar = robot.scalar_dofs
         names = ("armature", "viscous", "coulomb", "spring", "offset")
         for k, plant in enumerate(self.plants):
             terms[-1][k] = plant.terms.offset
             # Else the compiled model keeps the terms of the file, as in `Plant.compiled`.
             if plant.phi is not None or plant.terms is not robot.joint_terms:
                 for name, values in zip(names[:-1], terms, strict=False):
-                    values[k, robot.scalar_dofs] = getattr(plant.terms, name)[robot.scalar_dofs]
+                    values[k, scalar] = getattr(plant.terms, name)[scalar]
         terms[:3] = [np.maximum(x, 0.0) for x in terms[:3]]  # as `_not_negative`
         motors = [drive.kp, drive.kd, drive.limit, *torque_range(mj, drive)]
         if drive.transmission is not None:

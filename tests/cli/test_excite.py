@@ -80,3 +80,8 @@ def test_a_file_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
     assert notes.read_text() == "mine\n"
     motion.write_text("t,shoulder.q\n0,0\n")  # as excite writes it
     assert design(ExciteRequest("scara", out=motion, **words)).file == str(motion)
+
+
+def test_a_file_without_its_format_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"\.csv.*--export"):
+        design(ExciteRequest("scara", out=tmp_path / "motion.yaml"))

@@ -239,3 +239,17 @@ def test_a_list_in_place_of_an_array_is_named(place: int, tmp_path: Path) -> Non
     arrays = {name: [0.0] if i == place else np.zeros(4) for i, name in enumerate(names)}
     with pytest.raises(UsageError, match=rf"{names[place]} is a list.*asarray"):
         table_of_arrays(tmp_path / "log.own", arrays)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_texts_of_other_countries_are_read(tmp_path: Path, encoding: str, mark: str) -> None:
+    x = np.random.default_rng(0).normal(size=(20, 3)).round(6)
+    for decimal in ".,":
+        lines = [["t", "q", "tau"], *([f"{v:.6f}".replace(".", decimal) for v in row] for row in x)]
+        text = "\n".join(map(mark.join, lines)) + "\n"
+        start = "\ufeff" if encoding.startswith("utf-16-") else ""
+        (tmp_path / "run.csv").write_text(start + text, encoding=encoding)
+        table = read_table(tmp_path / "run.csv")
+        np.testing.assert_array_equal(table.values, x)
+        assert [name.lstrip("\ufeff") for name in table.names] == ["t", "q", "tau"]

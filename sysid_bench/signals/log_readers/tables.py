@@ -3,6 +3,7 @@
 import csv
 import os
 import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, count, islice
@@ -46,6 +47,9 @@ _DOUBT: Final = (
 _LIST: Final = re.compile(r'((?:^|[,;\t])\s*)"?(\[[^\[\]"]*\])"?')
 """List of numbers that is a whole cell, after what stands before it."""
 
+_DECIMAL_COMMAS: Final = re.compile(r"(?=.*\d,\d)[-+\d,eE \"]*([;\t][-+\d,eE \"]*)+")
+"""Line of numbers with decimal commas between semicolons or tabs: 0,25;-1,5."""
+
 _COMPARED: Final = 10
 """Last lines whose decimals are compared."""
 
@@ -68,9 +72,14 @@ class DelimitedText:
         """
         check_file(path, _LARGEST)
         # Loggers write units and degree signs in any encoding; only the numbers matter.
-        with path.open(encoding="utf-8-sig", errors="replace") as file:
+        with path.open("rb") as start_of_file:
+            is_wide = start_of_file.read(2) in (BOM_UTF16_LE, BOM_UTF16_BE)
+        with path.open(encoding="utf-16" if is_wide else "utf-8-sig", errors="replace") as file:
             lines = _numbered_lines(path, file)
             header, first = _header(path, lines)
+            if _DECIMAL_COMMAS.fullmatch(first[1].strip()):
+                first = first[0], first[1].replace(",", ".")
+                lines = ((number, line.replace(",", ".")) for number, line in lines)
             delimiter = _delimiter(first[1])
             numbers = (row for row in lines if not row[1].lstrip().startswith(_COMMENTS))
             start = [first, *islice(numbers, 1)]
