@@ -73,9 +73,14 @@ def _result(fit: "OnlineFit", t: float) -> "OnlineResult":
     found = fit.estimate()
     terms = [{"fv": fv, "fc": fc, "offset": c} for fv, fc, c in found.joints.tolist()]
     return OnlineResult(
-        t, found.samples, float(found.mass), float(found.mass_std), tuple(found.com.tolist()),
-        tuple(found.com_std.tolist()), dict(zip(fit.rows, terms, strict=True)),
-    )  # fmt: skip
+        t=t,
+        samples=found.samples,
+        mass=float(found.mass),
+        mass_std=float(found.mass_std),
+        com=tuple(found.com.tolist()),
+        com_std=tuple(found.com_std.tolist()),
+        joints=dict(zip(fit.rows, terms, strict=True)),
+    )
 
 
 online = python_function(Online, "online")
