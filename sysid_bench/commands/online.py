@@ -21,7 +21,7 @@ class Online(Request["OnlineResult"]):
 
     The robot's own bodies are those of MODEL. STREAM is a file that may grow, - for standard input,
     or tcp://HOST:PORT, with a line per sample: {"t": s, "q": [...], "tau": [...]}, or CSV below a
-    header t,q1,...,tau1,...
+    header with t, JOINT.q and JOINT.tau.
     """
 
     has_json: ClassVar[bool] = False
@@ -46,7 +46,7 @@ class Online(Request["OnlineResult"]):
         if robot.coupling is not None or len(robot.scalar_dofs) != robot.nv:
             raise UnsupportedError(f"{robot.name}: only arms of uncoupled hinges and slides.")
         fit, t, reported = OnlineFit(robot), 0.0, -1.0
-        for motion, tau, moving in windows(stream_samples(self.stream, robot.nv)):
+        for motion, tau, moving in windows(stream_samples(self.stream, robot.rows)):
             fit.add(motion, tau, moving)
             t = float(motion.t[0])
             if self.report is not None and not reported <= t < reported + 1.0:

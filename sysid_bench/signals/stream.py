@@ -5,7 +5,7 @@ import math
 import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, Final
 
@@ -18,12 +18,13 @@ Sample = tuple[float, list[float], list[float]]
 """t (s), q (joints,) and tau (joints,)."""
 
 
-def stream_samples(source: str, joints: int) -> Iterator[Sample]:
+def stream_samples(source: str, names: Sequence[str]) -> Iterator[Sample]:
     """Yield the samples of a stream; raises UsageError for a line that is not one, naming it.
 
-    A line is JSON, {"t": s, "q": [...], "tau": [...]}, or CSV below a header with t, q1, q2, ...,
-    tau1, tau2, ...; further keys and columns are not read.
+    A line is JSON, {"t": s, "q": [...], "tau": [...]} in the order of the joints' `names`, or CSV
+    below a header with t, NAME.q and NAME.tau, as `excite` writes it; nothing else is read.
     """
+    joints = len(names)
     columns: list[int] | None = None  # of CSV
     before = -math.inf
     for number, line in enumerate(_lines(source), start=1):
@@ -33,7 +34,7 @@ def stream_samples(source: str, joints: int) -> Iterator[Sample]:
         text = line.decode("utf-8", "replace").strip()
         if number == 1 and not text.startswith("{"):
             header = [word.strip() for word in text.split(",")]
-            wanted = ["t", *(f"{x}{k + 1}" for x in ("q", "tau") for k in range(joints))]
+            wanted = ["t", *(f"{name}.{x}" for x in ("q", "tau") for name in names)]
             missing = [name for name in wanted if name not in header]
             if missing:
                 raise UsageError(f"{where} has no column {', '.join(missing)}; it has: {text}.")

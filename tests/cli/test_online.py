@@ -42,9 +42,8 @@ def recorded(name: str, seed: int, seconds: float, rate: float) -> tuple[Array, 
     return t, q + 1e-6 * rng.normal(size=q.shape), tau
 
 
-def csv(t: Array, q: Array, tau: Array) -> str:
-    n = q.shape[1]
-    names = ["t", *(f"q{k + 1}" for k in range(n)), *(f"tau{k + 1}" for k in range(n))]
+def csv(rows: tuple[str, ...], t: Array, q: Array, tau: Array) -> str:
+    names = ["t", *(f"{row}.{x}" for x in ("q", "tau") for row in rows)]
     table = np.column_stack([t, q, tau])
     return "\n".join([",".join(names), *(",".join(f"{x:.9g}" for x in row) for row in table), ""])
 
@@ -60,7 +59,7 @@ def test_the_payload_and_the_friction_lie_within_their_deviations(
 ) -> None:
     monkeypatch.setattr(stream, "IDLE", 0.1)
     file = tmp_path / "run.csv"
-    file.write_text(csv(*recorded(name, seed, 12.0, 500.0)))
+    file.write_text(csv(load_robot(name).rows, *recorded(name, seed, 12.0, 500.0)))
     seen: list[sysid_bench.OnlineResult] = []
     found = sysid_bench.online(name, str(file), report=seen.append)
     assert len(seen) == 12
@@ -107,10 +106,10 @@ def test_a_socket_and_a_file_that_grows_are_followed(
 
     threading.Thread(target=serve).start()
     address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-    assert [t for t, _, _ in stream.stream_samples(address, 6)] == expected
+    assert [t for t, _, _ in stream.stream_samples(address, SIX)] == expected
     server.close()
     with pytest.raises(UsageError, match=address):
-        list(stream.stream_samples(address, 6))
+        list(stream.stream_samples(address, SIX))
     file = tmp_path / "grows.jsonl"
     file.touch()
 
@@ -124,9 +123,10 @@ def test_a_socket_and_a_file_that_grows_are_followed(
                 out.write(line[20:])
 
     threading.Thread(target=write).start()
-    assert [t for t, _, _ in stream.stream_samples(str(file), 6)] == expected
+    assert [t for t, _, _ in stream.stream_samples(str(file), SIX)] == expected
 
 
+SIX = "abcdef"
 GOOD = '{"t": 0.1, "q": [0, 0], "tau": [0, 0]}\n'
 BAD = {
     "falls": GOOD + GOOD,
@@ -135,9 +135,9 @@ BAD = {
     "is no sample": GOOD + "\n",
     "'tau'": '{"t": 0.1, "q": [0, 0]}\n',
     "4 numbers": GOOD.replace("[0, 0]}", "[0]}"),
-    "no column tau2": "t,q1,q2,tau1\n0,0,0,0\n",
-    "could not convert": "t,q1,q2,tau1,tau2\n0,0,x,0,0\n",
-    "index out of range": "t,q1,q2,tau1,tau2\n0,0,0\n",
+    "no column b.tau": "t,a.q,b.q,a.tau\n0,0,0,0\n",
+    "could not convert": "t,a.q,b.q,a.tau,b.tau\n0,0,x,0,0\n",
+    "index out of range": "t,a.q,b.q,a.tau,b.tau\n0,0,0\n",
 }
 
 
@@ -149,13 +149,13 @@ def test_a_line_that_is_no_sample_is_named(
     file = tmp_path / "bad.txt"
     file.write_text(BAD[words])
     with pytest.raises(UsageError, match=f"Line [123] of .*{words}"):
-        list(stream.stream_samples(str(file), 2))
+        list(stream.stream_samples(str(file), "ab"))
 
 
 @pytest.mark.parametrize("source", ["no/such/file", "ros2:/joint_states", "tcp://nowhere"])
 def test_a_stream_that_is_not_there_is_an_error(source: str) -> None:
     with pytest.raises(UsageError, match=source):
-        list(stream.stream_samples(source, 2))
+        list(stream.stream_samples(source, "ab"))
 
 
 @pytest.mark.long
@@ -164,7 +164,7 @@ def test_seven_joints_at_1_khz_take_a_tenth_of_the_time(
 ) -> None:
     monkeypatch.setattr(stream, "IDLE", 0.05)
     file = tmp_path / "run.csv"
-    file.write_text(csv(*recorded("xarm7", 1, 20.0, 1000.0)))
+    file.write_text(csv(load_robot("xarm7").rows, *recorded("xarm7", 1, 20.0, 1000.0)))
     start = time.process_time()
     sysid_bench.online("xarm7", str(file), report=lambda result: None)
     seconds = time.process_time() - start
