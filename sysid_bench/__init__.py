@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from sysid_bench.commands.lint import LintResult, lint
     from sysid_bench.commands.list import ShowResult, list_, show
     from sysid_bench.commands.merge import MergeResult, merge
+    from sysid_bench.commands.online import OnlineResult, online
     from sysid_bench.commands.plan import PlanResult, plan
     from sysid_bench.commands.record import record, view
     from sysid_bench.commands.report import report, table
@@ -95,6 +96,7 @@ _PUBLIC: Final = {
     "commands.lint": "LintResult lint",
     "commands.list": "ShowResult list_ show",
     "commands.merge": "MergeResult merge",
+    "commands.online": "OnlineResult online",
     "commands.plan": "PlanResult plan",
     "commands.record": "record view",
     "commands.report": "report table",
@@ -115,15 +117,15 @@ __all__ = [
     "DiagnoseRequest", "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult",
     "FetchResult", "FigureResult", "FramesResult", "GateResult", "HelpResult", "IdentifyResult",
     "InitFileResult", "InitLogResult", "InitRobotResult", "LimitsResult", "LintResult",
-    "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult", "Result", "RunResult",
-    "ShowResult", "SimulatedRequest", "SimulatedResult", "SiteResult", "StatusResult",
+    "MergeResult", "OnlineResult", "PlanResult", "RecordedRequest", "RecordedResult", "Result",
+    "RunResult", "ShowResult", "SimulatedRequest", "SimulatedResult", "SiteResult", "StatusResult",
     "SurveyRequest", "SurveyResult", "TransferResult", "TwinResult", "TwinTableResult",
     "baseline_save", "baseline_update", "basis", "cell", "cells", "check_plugin", "claims",
     "compare", "crosscheck", "diagnose", "doctor", "excite", "fetch", "figure", "frames", "gate",
     "help_", "identify", "init_estimator", "init_log", "init_model", "init_robot", "init_suite",
-    "limits", "lint", "list_", "load_robot", "log_of", "merge", "open_run", "paper_table", "plan",
-    "record", "report", "run", "show", "site", "status", "survey", "table", "transfer", "twin",
-    "twin_table", "view",
+    "limits", "lint", "list_", "load_robot", "log_of", "merge", "online", "open_run",
+    "paper_table", "plan", "record", "report", "run", "show", "site", "status", "survey", "table",
+    "transfer", "twin", "twin_table", "view",
 ]  # fmt: skip
 
 

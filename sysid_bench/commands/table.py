@@ -70,6 +70,7 @@ _TARGETS: Final[Mapping[str, Mapping[str, str]]] = {
     "identification": {
         "identify": "commands.identify:IdentifyCommand",
         "excite": "commands.excite:ExciteCommand",
+        "online": "commands.online:Online",
     },
     "recordings": {
         "diagnose": "commands.diagnose:DiagnoseRequest",
