@@ -10,17 +10,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#ifndef LEVEL
-#define LEVEL base
-#endif
-#define JOIN_(a, b) a##_##b
-#define JOIN(a, b) JOIN_(a, b)
-#define LEVELLED(name) JOIN(name, LEVEL)
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
+#include "../../vectors.h"
 
 enum { DONE, SINGULAR, DIVERGED, INDEFINITE }; /* the first three as the model's */
 
@@ -282,20 +272,5 @@ EXPORT int64_t LEVELLED(unscented)(const Filter *f, double spread, double furthe
 }
 
 #ifdef SOURCE_HASH
-#define TEXT_(x) #x
-#define TEXT(x) TEXT_(x)
 EXPORT const char *filters_source(void) { return TEXT(SOURCE_HASH); }
-
-EXPORT int kernel_runs(const char *level)
-{
-#if defined(__x86_64__)
-    __builtin_cpu_init();
-    if (!strcmp(level, "v4"))
-        return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl")
-            && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq");
-    if (!strcmp(level, "v3"))
-        return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-#endif
-    return !strcmp(level, "base");
-}
 #endif
