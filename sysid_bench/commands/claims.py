@@ -25,15 +25,20 @@ FORMATS: Final = ("md", "csv", "latex")
 _FRAMES: Final = {"joint": "by_joint", "interval": "by_std_from"}
 _HEAD: Final = (
     "claim", "level", "verdict", "statistic", "value", "95 % interval", "wanted", "over",
-    "cells", "lost", "gate", "suite", "reason",
+    "can hold with", "p", "p, corrected", "cells", "lost", "gate", "suite", "reason",
 )  # fmt: skip
 _NOTES: Final = (
-    "Holds, fails: the whole interval lies on one side of the threshold. Open: it straddles it, or "
-    "there is none (fewer than six robots, or what the claim counts in their place).",
+    "Holds, fails: the whole interval lies on one side of the threshold, and so does that at the "
+    "level that the correction asks for. Open: it straddles it, or there is none (fewer than six "
+    "robots, or what the claim counts in their place). p: the smallest 1 - level at which the "
+    "interval decides; corrected over all verdicts of this table (Benjamini and Hochberg 1995), so "
+    "that of those decided at most one in twenty is false in the mean. Can hold with: the fewest "
+    "units that can show it, all agreeing. Exact: a statement of algebra, of every cell.",
     "Ratio: exp of the median over robots of the mean log ratio of their cells; a cell without an "
     "answer (lost) counts as one of the reference. Coverage and share: mean over robots. "
-    "Intervals: percentile bootstrap over robots; of shares that of Clopper and Pearson (at "
-    "least 95 %). None over cells, nor of coverages without spread.",
+    "Intervals: order statistics of medians and ratios; of ranks and coverages percentile "
+    "bootstrap over robots; of shares that of Clopper and Pearson (at least 95 %). None over "
+    "cells, nor of coverages without spread.",
 )
 
 
@@ -50,7 +55,7 @@ class Claims(Request["ClaimsResult"]):
         """Return the claims with their verdicts."""
         from sysid_bench.commands.run_folder import condition, holds, no_rows, open_run
         from sysid_bench.evaluation.intervals import at_level
-        from sysid_bench.reporting.claims import ClaimRows, claim_findings
+        from sysid_bench.reporting.claims import ClaimRows, claim_findings, correct_findings
 
         folders = [open_run(run) for run in self.runs]
         for folder in folders:
@@ -76,7 +81,7 @@ class Claims(Request["ClaimsResult"]):
         words = ["sysid-bench", "claims", *paths]
         words += ["--suite", str(self.suite)] if self.suite else []
         with at_level(folders[0].suite.confidence):
-            return _result(paths, findings, shlex.join(words))
+            return _result(paths, correct_findings(findings), shlex.join(words))
 
 
 class ClaimsCommand(Claims):
@@ -199,8 +204,10 @@ def _listed(found: "ClaimFinding") -> tuple[str, ...]:
     return (
         found.name, found.level, found.verdict, found.statistic, value_text(found.value),
         "-" if found.low is None else f"{found.low:.4g} to {found.high:.4g}", found.wanted,
-        count_text(found.count, found.over) if found.count else "-", str(found.cells),
-        str(found.lost), "yes" if found.gate else "", found.suite, found.reason,
+        count_text(found.count, found.over) if found.count else "-",
+        "-" if found.needed is None else str(found.needed),
+        "exact" if found.exact else value_text(found.p), value_text(found.p_corrected),
+        str(found.cells), str(found.lost), "yes" if found.gate else "", found.suite, found.reason,
     )  # fmt: skip
 
 
@@ -211,7 +218,10 @@ def _result(runs: list[str], findings: "Sequence[ClaimFinding]", command: str) -
 
     verdicts = [found.verdict for found in findings]
     statements = dict.fromkeys(
-        f"{found.suite}, {found.name}: {found.statement} ({found.source})" for found in findings
+        f"{found.suite}, {found.name}: {found.statement} ({found.source})"
+        + (f". Source: \u201c{found.sentence}\u201d" if found.sentence else "")
+        + (f". Protocol: {found.protocol}" if found.protocol else "")
+        for found in findings
     )
     # A gate stands behind the name of its suite where there are several.
     several = len({found.suite for found in findings}) > 1

@@ -61,6 +61,16 @@ def at_level(level: float | None) -> Iterator[None]:
         _stated.reset(token)
 
 
+@contextmanager
+def only_level(level: float) -> Iterator[None]:
+    """Make all intervals at a level, whatever is stated: to find the highest that still decides."""
+    token = _stated.set(level)
+    try:
+        yield
+    finally:
+        _stated.reset(token)
+
+
 def level_text() -> str:
     """Return the level as titles print it: "95 %"."""
     return f"{100 * confidence_level():.10g} %"

@@ -8,7 +8,7 @@ that the claim selects alone. Shares have the interval of a binomial, at least 9
 equal shares has no width.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import comb
 from typing import Final, Literal
@@ -19,6 +19,7 @@ from sysid_bench.evaluation.intervals import (
     ROBOTS,
     median_interval,
     median_ranks,
+    only_level,
     percentile_interval,
     share_interval,
     tails,
@@ -183,7 +184,7 @@ def _ranks(medians: Array) -> Array:
 
 
 Direction = Literal["at most", "at least", "within"]
-Verdict = Literal["holds", "fails", "open", "not testable"]
+Verdict = Literal["holds", "fails", "open", "not testable", "withdrawn"]
 
 MOST_LOST: Final = 0.1
 """Share of cells without an answer above which a claim on the others cannot hold."""
@@ -232,6 +233,53 @@ def claim_verdict(figure: ClaimFigure, threshold: ClaimInterval) -> Verdict:
     if threshold.low <= figure.low and figure.high <= threshold.high:
         return "holds"
     return "fails" if figure.high < threshold.low or threshold.high < figure.low else "open"
+
+
+_STEPS: Final = 14
+"""Halvings of the level at which an interval stops to decide: p to 6e-5."""
+
+
+def claim_p(figure_of: Callable[[], ClaimFigure], threshold: ClaimInterval) -> float:
+    """Return the p-value of a verdict: the smallest 1 - level at which the interval that
+    `figure_of` makes still lies on one side of the threshold; 1 where none does."""
+    low, high = 0.0, 1.0  # 1 - level, at which it is open and decided
+    for _ in range(_STEPS):
+        middle = 0.5 * (low + high)
+        with only_level(1.0 - middle):
+            is_open = claim_verdict(figure_of(), threshold) == "open"
+        low, high = (middle, high) if is_open else (low, middle)
+    return high
+
+
+def benjamini_hochberg(p: Array) -> Array:
+    """Return the p-values (k,) corrected so that of the rejected ones a share of at most the level
+    is false in the mean (Benjamini and Hochberg 1995)."""
+    order = np.argsort(p)[::-1]
+    ranks = np.arange(len(p), 0, -1)
+    out = np.empty(len(p))
+    # From the largest on, a smaller p is never corrected to a larger one.
+    out[order] = np.minimum.accumulate(np.minimum(p[order] * len(p) / np.maximum(ranks, 1), 1.0))
+    return out
+
+
+MOST_UNITS: Final = 400
+"""Units up to which it is looked for how many of them let a claim hold."""
+
+
+def units_needed(statistic: str, threshold: ClaimInterval) -> int | None:
+    """Return the fewest units with which a claim can hold, all of them agreeing; None where no
+    number does, as for a share of 1, which no interval reaches."""
+    for count in range(1, MOST_UNITS + 1):
+        if count < ROBOTS.fewest or median_ranks(count) is None:
+            continue
+        if statistic != "share":
+            return count
+        # All or none for a limit; for two, any number of hits between.
+        hits = range(count + 1) if np.isfinite([threshold.low, threshold.high]).all() else ()
+        ends = (share_interval(k, count) for k in {0, count, *hits})
+        if any(threshold.low <= low and high <= threshold.high for low, high in ends):
+            return count
+    return None
 
 
 def by_robot(robots: Array, values: Array) -> Array:

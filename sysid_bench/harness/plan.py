@@ -12,7 +12,7 @@ from typing import IO, Any
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell, fields
-from sysid_bench.harness.power import ranking_power
+from sysid_bench.harness.power import claim_power, ranking_power
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, default_names
@@ -145,6 +145,7 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
     if len(kept) > len(unique):
         yield f"{len(kept) - len(unique)} cells were specified twice and are run once."
     yield from ranking_power(suite, unique)
+    yield from claim_power(suite, unique)
 
 
 # --- Lines of plan.jsonl ------------------------------------------------------------------------

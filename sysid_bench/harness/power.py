@@ -1,9 +1,15 @@
-"""What the rankings of a suite can decide with the robots that are planned."""
+"""What rankings and claims of a suite can decide with the robots that are planned."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Final, cast
 
 from sysid_bench.errors import count_text
-from sysid_bench.evaluation.robot_statistic import robots_needed
+from sysid_bench.evaluation.robot_statistic import (
+    ClaimInterval,
+    Direction,
+    robots_needed,
+    units_needed,
+)
 from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
@@ -43,3 +49,29 @@ def ranking_power(suite: Suite, cells: Sequence[Cell]) -> Iterator[str]:
         f"{needed} robots that all agree."
         + (f" Nothing can be decided in {', '.join(few)}." if few else "")
     )
+
+
+_PLANNED: Final = ("robot", "payload", "excitation", "repeat")
+"""Units of claims that a plan counts; joints stand in rows alone."""
+
+
+def claim_power(suite: Suite, cells: Sequence[Cell]) -> Iterator[str]:
+    """Yield the claims that cannot hold with the units that are planned, and what they need."""
+    few = []
+    for claim in suite.claim:
+        if claim.exact or claim.withdrawn or claim.missing or claim.over not in _PLANNED:
+            continue
+        threshold = ClaimInterval.of(cast(Direction, claim.direction), claim.threshold)
+        needed = units_needed(claim.statistic, threshold)
+        chosen = _selected(cells, claim.select)
+        for level in claim.level or (None,):
+            of = [one for one in chosen if level is None or one.labels["plant"] == level]
+            units = {
+                one.spec.repeat if claim.over == "repeat" else one.labels[claim.over] for one in of
+            }
+            if needed is None or len(units) < needed:
+                text = "no number" if needed is None else str(needed)
+                where = f"{claim.name}{f' at {level}' if level else ''}"
+                few.append(f"{where} ({count_text(len(units), claim.over)}, needs {text})")
+    if few:
+        yield f"Claims that cannot hold with what is planned: {', '.join(few)}."

@@ -5,27 +5,30 @@ robots (or what `over` says). Its figure and interval decide (evaluation/robot_s
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
 from sysid_bench.errors import UsageError, count_text
-from sysid_bench.evaluation.intervals import left_out_held
+from sysid_bench.evaluation.intervals import left_out_held, tails
 from sysid_bench.evaluation.robot_statistic import (
     MOST_LOST,
     ClaimFigure,
     ClaimInterval,
     Verdict,
+    benjamini_hochberg,
     by_robot,
+    claim_p,
     claim_verdict,
     mean_figure,
     median_figure,
     rank_figure,
     ratio_figure,
     share_figure,
+    units_needed,
 )
 from sysid_bench.metrics import metric_of
 from sysid_bench.reporting.selection import Choose, label, select_rows
@@ -224,6 +227,27 @@ class ClaimFinding:
     cells: int
     lost: int
     gate: bool
+    exact: bool
+    sentence: str | None
+    protocol: str | None
+    needed: int | None  # units with which it can hold; None: no number
+    p: float | None = None  # None: exact, or without an interval at any level
+    p_corrected: float | None = None  # over all verdicts that are printed together
+
+
+def correct_findings(findings: Sequence[ClaimFinding]) -> list[ClaimFinding]:
+    """The findings with p-values corrected over all of them, by the rate of false discoveries;
+    those that the correction leaves undecided are open."""
+    tested = [one.p for one in findings if one.p is not None]
+    corrected, at_most = iter(benjamini_hochberg(np.array(tested)).tolist()), 2.0 * tails()[0]
+    found = []
+    for one in findings:
+        p = None if one.p is None else next(corrected)
+        if p is not None and p > at_most and one.verdict in ("holds", "fails"):
+            reason = f"p {one.p:.2g}, {p:.2g} over {len(tested)} verdicts"
+            one = replace(one, verdict="open", reason=reason)
+        found.append(replace(one, p_corrected=p))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,24 +262,40 @@ class ClaimRows:
 
 
 def claim_findings(claim: Mapping[str, Any], rows: ClaimRows) -> Iterator[ClaimFinding]:
-    """The verdict on a claim, for each of its levels where it names some."""
+    """The verdict on a claim, for each of its levels where it names some; `correct_findings`
+    corrects those that are printed together."""
+    if claim.get("withdrawn"):
+        yield _without_figure(claim, rows, "-", "withdrawn", claim["withdrawn"])
+        return
     for level in claim["level"] or (None,):
         try:
             yield _finding(claim, level, rows)
         except MissingRowsError as error:
-            yield ClaimFinding(
-                **_said(claim, rows), level=level or "-", verdict="not testable",
-                reason=str(error), value=None, low=None, high=None, count=0, cells=0, lost=0,
-            )  # fmt: skip
+            yield _without_figure(claim, rows, level or "-", "not testable", str(error))
+
+
+def _without_figure(
+    claim: Mapping[str, Any], rows: ClaimRows, level: str, verdict: Verdict, reason: str
+) -> ClaimFinding:
+    return ClaimFinding(
+        **_said(claim, rows), level=level, verdict=verdict, reason=reason,
+        value=None, low=None, high=None, count=0, cells=0, lost=0,
+    )  # fmt: skip
 
 
 def _said(claim: Mapping[str, Any], rows: ClaimRows) -> dict[str, Any]:
     """Statement of the suite on a claim."""
     kept = {key: claim[key] for key in ("name", "statement", "source", "over", "gate")}
+    kept["exact"] = is_exact = bool(claim.get("exact"))
+    kept |= {key: claim.get(key) for key in ("sentence", "protocol")}
+    is_tested = bool(claim["threshold"]) and not is_exact
+    threshold = ClaimInterval.of(claim["direction"], claim["threshold"]) if is_tested else None
+    needed = None if threshold is None else units_needed(claim["statistic"], threshold)
     limits = [f"{limit:g}" for limit in claim["threshold"]]
     of = claim.get("metric") or claim.get("meets") or "values"
     return kept | {
         "suite": rows.suite,
+        "needed": 1 if is_exact else needed,
         "statistic": "-" if claim.get("missing") else f"{claim['statistic']} of {of}",
         "wanted": f"{claim['direction']} {' to '.join(limits)}" if limits else "-",
     }
@@ -272,20 +312,37 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
         raise MissingRowsError(f"no rows at {level}" if level else "no rows")
     of = _selected_lines(lines, claim["select"], rows.choose, "the claim")
     values = _values(claim, of, lines, rows)
-    # No interval over cells: a single robot may have any number of them.
-    found = _figure(claim, values, rows)
-    one_robot = "cells do not replicate each other: one robot may have all of them"
-    figure = found.without_interval(one_robot) if claim["over"] == "cell" else found
-    verdict = claim_verdict(figure, ClaimInterval.of(claim["direction"], claim["threshold"]))
-    reason = _open_reason(figure, verdict, values, claim["over"])
+    threshold = ClaimInterval.of(claim["direction"], claim["threshold"])
+
+    def figure_of() -> ClaimFigure:
+        found = _figure(claim, values, rows)
+        # No interval over cells: a single robot may have any number of them.
+        one_robot = "cells do not replicate each other: one robot may have all of them"
+        return found.without_interval(one_robot) if claim["over"] == "cell" else found
+
+    is_exact = bool(claim.get("exact"))
+    if is_exact:
+        figure, p = _exact_figure(values), None
+        verdict: Verdict = "holds" if figure.value == 1.0 else "fails"
+        reason = "" if figure.value == 1.0 else f"{int((values.own < 1.0).sum())} cells differ"
+    else:
+        figure = figure_of()
+        verdict = claim_verdict(figure, threshold)
+        reason = _open_reason(figure, verdict, values, claim["over"])
+        p = claim_p(figure_of, threshold) if figure.low is not None else None
     # Of a claim without a level its plants; recordings have none.
     plants = [name for name in dict.fromkeys(map(label, of["plant"])) if name != "none"]
     return ClaimFinding(
         **_said(claim, rows), level=level or ", ".join(plants) or "recorded",
-        verdict="open" if reason else verdict,
+        verdict="open" if reason and not is_exact else verdict,
         reason=reason, value=figure.value, low=figure.low, high=figure.high, count=figure.count,
-        cells=values.cells, lost=values.lost,
+        cells=values.cells, lost=values.lost, p=p,
     )  # fmt: skip
+
+
+def _exact_figure(values: ClaimValues) -> ClaimFigure:
+    """Share of all cells that meet an exact statement: each cell is a proof or a counterexample."""
+    return ClaimFigure(float(values.own.mean()), None, None, len(np.unique(values.robots)))
 
 
 def _open_reason(figure: ClaimFigure, verdict: Verdict, values: ClaimValues, over: str) -> str:

@@ -150,6 +150,11 @@ name      = "warm"
 statement = "Friction falls with temperature"
 source    = "nobody 2026"
 missing   = "a thermometer"
+[[claim]]
+name      = "retracted"
+statement = "Friction rises with temperature"
+source    = "nobody 2026"
+withdrawn = "its source was retracted"
 """
 
 

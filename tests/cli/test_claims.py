@@ -56,12 +56,17 @@ def test_a_run_stores_its_claims(stored: Path) -> None:
 
 def test_verdicts_in_every_format(stored: Path, cli: Run) -> None:
     words = ("claims", str(stored / "run"))
-    verdicts = ["holds", "fails", "open", "not testable"]
+    verdicts = ["holds", "fails", "open", "not testable", "withdrawn"]
     shown = json.loads(cli(*words, "--json").stdout)
     assert [claim["verdict"] for claim in shown["claims"]] == verdicts
     assert shown["failed"] == ["data-harm at matched", "one-robot at matched"]
     assert shown["claims"][2]["reason"] == "1 robot: no interval"
     assert shown["claims"][3]["reason"] == "needs a thermometer"
+    assert shown["claims"][4]["reason"] == "its source was retracted"
+    corrected = [claim["p_corrected"] for claim in shown["claims"]]
+    assert corrected[:2] == [claim["p"] for claim in shown["claims"][:2]]  # both are alike
+    assert corrected[2:] == [None, None, None]
+    assert [claim["needed"] for claim in shown["claims"]] == [6, 6, 6, None, None]
     lines = cli(*words, "--format", "csv").stdout.splitlines()
     assert [line.split(",")[2] for line in lines[1:]] == verdicts
     assert r"\begin{table}" in cli(*words, "--format", "latex").stdout
@@ -71,7 +76,7 @@ def test_verdicts_in_every_format(stored: Path, cli: Run) -> None:
 def test_the_same_claim_of_two_runs_is_tested_once_on_both(stored: Path) -> None:
     result = sysid_bench.claims(stored / "run", stored / "run")
     found = [(claim["cells"], claim["count"]) for claim in result.claims]
-    assert found == [(12, 6), (12, 6), (12, 1), (0, 0)]
+    assert found == [(12, 6), (12, 6), (12, 1), (0, 0), (0, 0)]
     once = sysid_bench.claims(stored / "run")
     assert result.claims[0]["value"] == pytest.approx(once.claims[0]["value"])
 
@@ -84,8 +89,8 @@ def test_robots_of_several_runs_are_known_by_their_content(stored: Path, tmp_pat
     (second / "models.json").write_text(json.dumps(other))
     same = sysid_bench.claims(stored / "run", stored / "run").claims
     found = sysid_bench.claims(stored / "run", second).claims
-    assert [claim["count"] for claim in same] == [6, 6, 1, 0]
-    assert [claim["count"] for claim in found] == [6, 6, 2, 0]
+    assert [claim["count"] for claim in same] == [6, 6, 1, 0, 0]
+    assert [claim["count"] for claim in found] == [6, 6, 2, 0, 0]
 
 
 def test_claims_of_one_name_in_two_suites_stay_apart(stored: Path, tmp_path: Path) -> None:
@@ -95,7 +100,7 @@ def test_claims_of_one_name_in_two_suites_stay_apart(stored: Path, tmp_path: Pat
     (second / "run.toml").write_text(text)
     result = sysid_bench.claims(stored / "run", second)
     named = {(claim["suite"], claim["name"]): claim for claim in result.claims}
-    assert len(named) == len(result.claims) == 5
+    assert len(named) == len(result.claims) == 6
     assert named["stored", "data-help"]["verdict"] == "holds"
     assert named["other", "data-help"]["verdict"] == "fails"
     assert "other, data-help at matched" in result.failed

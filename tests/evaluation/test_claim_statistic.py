@@ -1,5 +1,7 @@
 """Laws of verdicts: monotone in the threshold, open where an interval straddles it or is absent."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,13 +13,17 @@ from sysid_bench.evaluation.intervals import ROBOTS, left_out_held, percentile_i
 from sysid_bench.evaluation.robot_statistic import (
     ClaimFigure,
     ClaimInterval,
+    Direction,
+    benjamini_hochberg,
     by_robot,
+    claim_p,
     claim_verdict,
     mean_figure,
     median_figure,
     rank_figure,
     ratio_figure,
     share_figure,
+    units_needed,
 )
 from sysid_bench.types import Array
 
@@ -135,6 +141,66 @@ def test_coverages_of_six_robots_with_a_spread_have_the_interval_of_the_bootstra
         assert mean_figure(values).reason == "no spread"
         monkeypatch.setattr(robot_statistic, "SPREAD", float(np.nextafter(0.25, 0.0)))
         assert mean_figure(values) == figure
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_p_is_where_the_interval_stops_to_decide(seed: int) -> None:
+    """It holds at the usual level where p is below it; a looser threshold has a smaller p."""
+    rng = np.random.default_rng(seed)
+    values = rng.normal(0.9, 0.2, 8 + seed)
+    figures_of: tuple[Callable[[], ClaimFigure], ...] = (
+        lambda: median_figure(values),
+        lambda: share_figure((values > 0.8) * 1.0),
+    )
+    for figure in figures_of:
+        found = []
+        for limit in (0.3, 0.6, 0.9, 1.2):
+            threshold = ClaimInterval.of("at most", (limit,))
+            p, verdict = claim_p(figure, threshold), claim_verdict(figure(), threshold)
+            assert (p <= 0.05) == (verdict != "open")
+            found.append(p if verdict == "holds" else 1.0)
+        assert found == sorted(found, reverse=True)
+    assert claim_p(lambda: median_figure(values[:5]), ClaimInterval.of("at most", (9.0,))) == 1.0
+    # Of medians it is that of the sign test.
+    above = ClaimInterval.of("at least", (0.0,))
+    exact = binomtest(len(values), len(values)).pvalue
+    assert claim_p(lambda: median_figure(values + 9), above) == pytest.approx(exact, abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_false_discoveries_are_corrected_by_the_step_up_procedure(seed: int) -> None:
+    """Those rejected at a level q are the k smallest, k the last with p_(k) <= q k / m."""
+    rng = np.random.default_rng(seed)
+    p = np.round(rng.uniform(0, 1, rng.integers(1, 12)) ** 2, 3)
+    corrected, ordered = benjamini_hochberg(p), np.sort(p)
+    for q in (0.01, 0.05, 0.2, 0.5):
+        met = np.flatnonzero(ordered <= q * np.arange(1, len(p) + 1) / len(p) + 1e-12)
+        limit = ordered[met[-1]] if len(met) else -1.0
+        np.testing.assert_array_equal(corrected <= q + 1e-12, p <= limit)
+    assert (corrected >= p).all()
+    assert benjamini_hochberg(np.zeros(0)).shape == (0,)
+
+
+def test_units_that_a_claim_needs_let_it_hold_and_one_less_does_not() -> None:
+    cases: tuple[tuple[Direction, tuple[float, ...]], ...] = (
+        ("at least", (0.5,)),
+        ("at least", (0.95,)),
+        ("at most", (0.2,)),
+        ("within", (0.4, 0.9)),
+    )
+    for direction, limits in cases:
+        threshold = ClaimInterval.of(direction, limits)
+        needed = units_needed("share", threshold)
+        assert needed is not None
+
+        def can_hold(count: int, threshold: ClaimInterval = threshold) -> bool:
+            shares = (share_figure(np.repeat([1.0, 0.0], [k, count - k])) for k in range(count + 1))
+            return any(claim_verdict(one, threshold) == "holds" for one in shares)
+
+        assert can_hold(needed)
+        assert not can_hold(needed - 1)
+    assert units_needed("share", ClaimInterval.of("at least", (1.0,))) is None
+    assert units_needed("ratio", ClaimInterval.of("at most", (1.0,))) == ROBOTS.fewest
 
 
 def test_known_values() -> None:

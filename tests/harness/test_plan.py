@@ -193,6 +193,25 @@ def test_a_plan_states_how_many_robots_the_verdicts_of_its_rankings_need() -> No
     assert any("1 verdict," in note for note in plan_of(FULL + none).notes)
 
 
+def test_a_plan_names_the_claims_that_cannot_hold() -> None:
+    head = (
+        '[[claim]]\nname = "{}"\nstatement = "s"\nsource = "t"\nselect = \'estimator == "ols"\'\n'
+    )
+    share = 'statistic = "share"\nmeets = "rank > 3"\ndirection = "at least"\nthreshold = {}\n'
+    never = head.format("never") + share.format("1")
+    exact = head.format("algebra") + share.format("1") + "exact = true\n"
+    few = head.format("few") + 'statistic = "median"\nmetric = "torque_error"\nthreshold = 1\n'
+    [note] = [one for one in plan_of(FULL + never + exact + few).notes if one.startswith("Claims")]
+    assert "never (3 robots, needs no number)" in note
+    assert "few (3 robots, needs 6)" in note
+    assert "algebra" not in note
+    repeats = few.replace("few", "own") + 'over = "repeat"\n'
+    [note] = [one for one in plan_of(FULL + repeats).notes if one.startswith("Claims")]
+    assert "own (3 repeats, needs 6)" in note
+    with pytest.raises(UsageError, match="share of 1"):
+        plan_of(FULL + few + "exact = true\n")
+
+
 SWEEPS = small(
     '[defaults]\nexcitation = ["fourier", { use = "fourier", period = 3 }]\n'
     'prior = ["truth", { mass = "1 %" }, { mass = "1 %", com = 3 }]\nterms = [[], ["viscous"]]\n'

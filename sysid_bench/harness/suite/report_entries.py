@@ -213,16 +213,29 @@ class Claim(SuiteTable):
     level: ListOf[Annotated[str, choice_of("level", words.CLAIM_LEVELS)]] = ()
     """Plants that it is tested on, one by one; default: all rows together."""
     over: Annotated[str, choice_of("unit of replication", words.CLAIM_UNITS)] = "robot"
+    exact: StrictBool = False
+    """A statement of algebra: it holds where every cell meets `meets`, and fails where one does
+    not; no interval, no correction."""
+    sentence: StrictStr | None = None  # sentence of the source, word for word
+    protocol: StrictStr | None = None  # what differs from the source's protocol
+    withdrawn: StrictStr | None = None  # reason for which the claim is listed and not tested
     gate: StrictBool = False  # `run --gate` ends with code 1 where it fails
     missing: StrictStr | None = None
     """Requirement of the test that nothing here meets: the claim is not testable."""
 
     @model_validator(mode="after")
     def _is_complete(self) -> "Claim":
-        if self.missing is not None:
+        if self.missing is not None or self.withdrawn is not None:
             if self.gate:
-                raise ValueError("a claim that is not testable cannot be a gate.")
+                raise ValueError("a claim that is not tested cannot be a gate.")
             return self
+        if self.exact and (self.statistic, self.direction, self.threshold) != (
+            "share", "at least", (1.0,),
+        ):  # fmt: skip
+            raise ValueError(
+                "exact = true is a share of 1: statistic = 'share', direction = 'at least', "
+                "threshold = 1."
+            )
         needed = {
             "select": True,
             "against": self.statistic in words.PAIRED,

@@ -21,12 +21,14 @@ if TYPE_CHECKING:
 
 METHODS: Final = (
     *("ols", "wls", "irls", "huber", "tukey", "ridge"),
-    *("lmi", "entropic", "a-priori"),
+    *("lmi", "entropic", "a-priori", "file-friction"),
 )
 """Methods that are compared where none are named."""
 
 MOST_FALSE, LEAST_FOUND = 0.2, 0.5
 """Aims of a simulation: shares of its claims that are false, and of real differences found."""
+
+UNDECIDED: Final = "not decided"
 
 OTHER, ALL = "another motion or day", "all sets"
 """Groups of sets: those whose test is another motion or another day, and all."""
@@ -157,8 +159,9 @@ class TransferResult(Result):
     `errors`: torque error by set, source, draw, test and method. `counts`: by source and set, all
     draws together, see VerdictCounts. `figures`: by group of sets and source, `false` claims, real
     differences `found`, and the medians `level`, `misfit` and `tau`, each with its interval over
-    robots, of which those of one type are drawn together. `reasons`: sources that failed, by set.
-    `seconds`: CPU time.
+    robots, of which those of one type are drawn together; `without_one`: smallest and largest of
+    both shares with one type left out, and whether the aims are reached in each. `reasons`: sources
+    that failed, by set. `seconds`: CPU time.
     """
 
     sets: list[str]
@@ -200,19 +203,23 @@ class TransferResult(Result):
 
     def _verdicts(self, figures: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         """Verdicts of the sources on the aims; open where they depend on the identified model."""
-        words = {True: "reached", False: "missed", None: "not testable (no real differences)"}
+        words = {
+            True: "reached", False: "missed", None: "not testable (no real differences)",
+            UNDECIDED: "not decided (one type of robot more or less changes it)",
+        }  # fmt: skip
         bases = dict.fromkeys(label.rpartition(", ")[0] for label in figures if label != CEILING)
         for base in bases:
             labels = [source_label(base, truth) for truth in self.truths]
             # Where the identified models disagree, the verdict is one on the model, not on the
             # source.
-            reached = {_reaches(figures[label]) for label in labels if label in figures}
+            reached = {_decided(figures[label]) for label in labels if label in figures}
             yield f"{base} {words[reached.pop()] if len(reached) == 1 else 'open'}"
 
 
 _HEAD: Final = (
-    "| source | robots | level | misfit | tau | false claims | real differences found |",
-    "| --- | ---: | --- | --- | --- | --- | --- |",
+    "| source | robots | level | misfit | tau | false claims | real differences found "
+    "| without one type: false, found |",
+    "| --- | ---: | --- | --- | --- | --- | --- | --- |",
 )
 _SET_HEAD: Final = (
     "Pairs of methods by set, means of the draws:",
@@ -230,9 +237,20 @@ def _reaches(figures: Mapping[str, Any]) -> bool | None:
     return false is not None and false <= MOST_FALSE and found >= LEAST_FOUND
 
 
+def _decided(figures: Mapping[str, Any]) -> bool | str | None:
+    """Whether a source reaches the aims, or UNDECIDED where one type of robot decides it."""
+    reached = _reaches(figures)
+    without = figures["without_one"]["reached"]
+    # With a single type nothing is left to confirm it.
+    is_carried = len(without) < 2 or any(one != reached for one in without)
+    return UNDECIDED if reached is not None and is_carried else reached
+
+
 def _line(source: str, figures: Mapping[str, Any]) -> str:
     cells = [_text(figures[word], 1, ".2f") for word in ("level", "misfit", "tau")]
     cells += [_text(figures[word], 100, ".0f") for word in ("false", "found")]
+    ranges = [figures["without_one"][word] for word in ("false", "found")]
+    cells.append(", ".join("-" if r is None else f"{r[0]:.0%} to {r[1]:.0%}" for r in ranges))
     return f"| {source} | {figures['robots']} | {' | '.join(cells)} |"
 
 
@@ -312,10 +330,22 @@ def _of_robots(by_set: "Mapping[str, VerdictCounts]", types: Mapping[str, str]) 
     from sysid_bench.apps.twins.agreement import robot_median, robot_share
 
     counts, clusters = list(by_set.values()), [types[name] for name in by_set]
-    false = robot_share(counts, lambda one: (one.false, one.claimed), clusters)
-    found = robot_share(counts, lambda one: (one.found, one.real), clusters)
+
+    def shares(left_out: str | None) -> dict[str, Any]:
+        kept = [k for k, one in enumerate(clusters) if one != left_out]
+        some, of = [counts[k] for k in kept], [clusters[k] for k in kept]
+        return {
+            "false": asdict(robot_share(some, lambda one: (one.false, one.claimed), of)),
+            "found": asdict(robot_share(some, lambda one: (one.found, one.real), of)),
+        }
+
+    every = [shares(one) for one in dict.fromkeys(clusters)]
+    without: dict[str, Any] = {"reached": [_reaches(one) for one in every]}
+    for word in ("false", "found"):
+        known = [one[word]["value"] for one in every if one[word]["value"] is not None]
+        without[word] = [min(known), max(known)] if known else None
     medians = {
         word: asdict(robot_median([getattr(one, word) for one in counts], clusters))
         for word in ("level", "misfit", "tau")
     }
-    return {"robots": len(counts), "false": asdict(false), "found": asdict(found), **medians}
+    return {"robots": len(counts), **shares(None), "without_one": without, **medians}
