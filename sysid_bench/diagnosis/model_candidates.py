@@ -16,7 +16,7 @@ from sysid_bench.evaluation.intervals import level_text
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, read_manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.package_folders import robots
+from sysid_bench.package_folders import package_folder, robots
 from sysid_bench.types import Array, Recording
 
 ANGLE: Final = 10.0
@@ -61,11 +61,17 @@ def gravity_direction(before: Hypothesis) -> Iterator[Candidate]:
 
 
 def _gravity_edit(manifest: Manifest, g: Array) -> str:
-    """Edit of the user's own robot.toml, or of the model's name on the command line."""
-    if manifest.manifest_file is not None:
-        return f"gravity = {_text(g)} in {manifest.manifest_file.name}"
+    """Edit of the model's name on the command line, and of the user's own robot.toml."""
     words = ",".join(f"{x:.4g}" for x in np.round(g, 2) + 0.0)
-    return f"name the model '{manifest.path.name}?gravity={words}'"
+    own, name = manifest.manifest_file, manifest.path.name
+    if own is not None:
+        kind = next(
+            (k for k in ("robots", "datasets") if own.is_relative_to(package_folder(k))), ""
+        )
+        if not kind:
+            return f"gravity = {_text(g)} in {own.name}, or its name with ?gravity={words}"
+        name = f"{'dataset:' * (kind == 'datasets')}{manifest.name}"
+    return f"name the model '{name}?gravity={words}'"
 
 
 def _fitted_gravity(before: Hypothesis, inertial: Array, axes: Array) -> Array:

@@ -171,19 +171,19 @@ def test_currents_of_joints_that_follow_the_model_are_named(
         assert "current" in text
 
 
-@pytest.mark.parametrize("unit", [None, "N m"])
-def test_torques_that_may_be_currents_are_a_doubt_unless_their_unit_is_stated(
-    tmp_path: Path, unit: str | None
+@pytest.mark.parametrize("stated", [{}, {"unit": ("N m",)}, {"ratio": (100.0,)}])
+def test_torques_that_may_be_currents_are_a_doubt_unless_their_scale_is_stated(
+    tmp_path: Path, stated: dict[str, tuple[str | float, ...]]
 ) -> None:
     """Friction is most of each torque: its size says nothing of the unit."""
     log, robot = log_of("ur5"), named_robot("ur5")
     size = 3.0 * np.sqrt((log.tau**2).mean(axis=0))
     rubbed = replace(log, tau=(log.tau + size * np.sign(log.v) + size * log.v) / 10.0)
+    rubbed = replace(rubbed, tau=rubbed.tau / (100.0 if "ratio" in stated else 1.0))
     path = write(tmp_path, rubbed)
     described = read_description(path)
-    if unit:
-        described = replace(described, tau=described.tau.model_copy(update={"unit": (unit,)}))
+    described = replace(described, tau=described.tau.model_copy(update=stated))
     found = list(open_gains(DiagnoseInput(read_log(described, robot), robot)))
     doubts = [one for one in found if one.severity == WARNING]
-    assert len(doubts) == (0 if unit else 1)
+    assert len(doubts) == (0 if stated else 1)
     assert all("currents" in one.message and "unit" in one.edit for one in doubts)

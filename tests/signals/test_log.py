@@ -248,7 +248,7 @@ def test_stamps_that_jitter_repeat_or_run_backwards(world: World, log: Recorded)
     with pytest.raises(UsageError, match=r"gap of 1e\+09 s"):
         world.read(replace(log, t=t), name="gap", time=1, rate=None)
     backwards = replace(log, t=log.t[::-1].copy())
-    with pytest.raises(UsageError, match="rise"):
+    with pytest.raises(UsageError, match="fall: write the rows in the order of time"):
         world.read(backwards, name="backwards", time=1, rate=None)
 
 
