@@ -55,9 +55,9 @@ class InitLog(Request["InitLogResult"]):
         guess = guess_log(tables, robot)
         doubts, accepted = list(guess.warnings), ""
         if not guess.lacks:
-            findings = self._contradictions(guess, target, robot)
-            doubts += [finding.text for finding in findings]
-            accepted = ",".join(dict.fromkeys(finding.name for finding in findings))
+            findings = self._findings(guess, target, robot)
+            doubts += [one.text for one in findings]
+            accepted = ",".join(dict.fromkeys(one.name for one in findings if one.contradiction))
         command = f"sysid-bench identify {self.model} --log {target}"
         if "pd" in (guess.keys.get("tau") or guess.proposal or {}):
             command += " --task actuators"
@@ -74,10 +74,9 @@ class InitLog(Request["InitLogResult"]):
             next=f"complete tau in {target}, then: {command}" if guess.lacks else command,
         )
 
-    def _contradictions(
-        self, guess: "LogGuess", target: Path, robot: "RobotModel"
-    ) -> "list[Finding]":
-        """Contradictions in the recording as guessed; raise UsageError where it cannot be read."""
+    def _findings(self, guess: "LogGuess", target: Path, robot: "RobotModel") -> "list[Finding]":
+        """Contradictions in the recording as guessed, and what was left out of it; raise UsageError
+        where it cannot be read."""
         from sysid_bench.signals.log import read_log
         from sysid_bench.signals.log_description import description_of
 
@@ -90,7 +89,7 @@ class InitLog(Request["InitLogResult"]):
                 f"description cannot be read: {reason} Write one by hand: joints, q = {{ columns = "
                 "[...] }, tau."
             ) from error
-        return [finding for finding in log.findings if finding.contradiction]
+        return [one for one in log.findings if one.contradiction or one.name == "non-finite"]
 
     def _paths(self) -> list[Path]:
         files = [self.files] if isinstance(self.files, (str, Path)) else self.files

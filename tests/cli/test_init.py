@@ -49,6 +49,14 @@ def written(folder: Path, kind: str) -> Path:
     return folder / "run.csv"
 
 
+def test_a_line_that_broke_off_is_said(tmp_path: Path) -> None:
+    file = written(tmp_path, "csv")
+    file.write_text(file.read_text()[:-60])
+    result = init_log(file, "ur5")
+    assert "the last line is incomplete" in result.doubts[-1]
+    assert "--accept" not in result.next
+
+
 @pytest.mark.parametrize("kind", FORMATS)
 def test_a_guessed_description_is_accepted(kind: str, tmp_path: Path) -> None:
     file = written(tmp_path, kind)
