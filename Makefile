@@ -21,7 +21,7 @@ GATED := smoke terminal agnostic
 
 install: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt .cmake/CMakeLists.txt sysid_bench/regressors/kernel.c \
+$(STAMP): pyproject.toml constraints.txt .cmake/CMakeLists.txt sysid_bench/vectors.h sysid_bench/regressors/kernel.c \
 		sysid_bench/simulation/steps.c sysid_bench/simulation/lanes.c \
 		sysid_bench/identification/simulation_based/filters.c
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

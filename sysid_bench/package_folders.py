@@ -131,8 +131,8 @@ def robot_data_folder() -> Path:
 def c_library(source: Path, library: str, hash_function: str) -> Any:
     """Return the library (ctypes) that was compiled from the C file `source` in the same folder.
 
-    `hash_function` names its function that returns the SHA-256 of the source text. Raises OSError,
-    with the reason, if there is no library, or one compiled from another text.
+    `hash_function` names its function that returns the hash of that file and vectors.h. Raises
+    OSError, with the reason, if there is no library, or one compiled from another text.
     """
     # The suffix depends on the operating system.
     files = (source.with_name(f"{library}{suffix}") for suffix in (".so", ".dylib", ".dll"))
@@ -145,7 +145,9 @@ def c_library(source: Path, library: str, hash_function: str) -> Any:
     dll = ctypes.CDLL(str(file))
     source_hash = getattr(dll, hash_function)
     source_hash.restype = ctypes.c_char_p  # ctypes takes results for ints, which cut pointers off
-    if source_hash().decode() != hashlib.sha256(source.read_bytes()).hexdigest():
+    texts = (source, Path(__file__).with_name("vectors.h"))  # as in CMakeLists.txt
+    hashes = "".join(hashlib.sha256(text.read_bytes()).hexdigest() for text in texts)
+    if source_hash().decode() != hashlib.sha256(hashes.encode()).hexdigest():
         raise OSError(
             f"{file.name} was compiled from another {source.name}; install the package again"
         )

@@ -61,7 +61,7 @@ def package_hash() -> str:
 def source_hash(folder: str) -> str:
     """Return a hash of all Python and C files below a folder, with their paths."""
     found = hashlib.sha256()
-    for file in sorted([*Path(folder).rglob("*.py"), *Path(folder).rglob("*.c")]):
+    for file in sorted(x for kind in ("py", "c", "h") for x in Path(folder).rglob(f"*.{kind}")):
         # Zero bytes between: text that moves from one file to the next is a change.
         found.update(f"{file.relative_to(folder)}\0".encode() + file.read_bytes() + b"\0")
     return found.hexdigest()

@@ -336,7 +336,7 @@ class DiagnoseInput:
             basis = np.linalg.qr(basis * np.asarray(spread)[:, None])[0]
         known, seconds = self.file_parameters.ravel(), len(self.log.recording) / self.rate
         return near.near_model(
-            W, terms(motion), T, self._touched, basis, known=known, scale=std,
+            W, terms(motion), T, links=self._touched, basis=basis, known=known, scale=std,
             holding=self.holding, seconds=seconds,
         )  # fmt: skip
 

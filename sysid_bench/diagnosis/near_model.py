@@ -288,8 +288,8 @@ def independent_directions(W: Array, links: Sequence[Array]) -> Array:
 
 
 def near_model(
-    W: Array, F: Array, T: Array, links: Sequence[Array], basis: Array, known: Array, scale: Array,
-    *, holding: Array, seconds: float,
+    W: Array, F: Array, T: Array, *, links: Sequence[Array], basis: Array, known: Array,
+    scale: Array, holding: Array, seconds: float,
 ) -> NearModel:  # fmt: skip
     """Normal equations of the link columns W (N, n, p), the terms F (N, n, 4) and the torques
     T (N, n, k), of which the first n are the recorded ones, with the file's parameters `known` (p,)

@@ -20,27 +20,10 @@
 #include <immintrin.h>
 #endif
 
-#ifndef LEVEL
-#define LEVEL base
-#endif
-#define JOIN_(a, b) a##_##b
-#define JOIN(a, b) JOIN_(a, b)
-#define LEVELLED(name) JOIN(name, LEVEL)
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
+#include "../vectors.h"
 
 #define TILE 3072 /* numbers of dense rows that are put together before they leave the caches */
 #define LARGE (16 << 20) /* bytes of output that the caches do not hold */
-#if defined(__AVX512F__)
-#define LANES 8
-#elif defined(__AVX__)
-#define LANES 4
-#else
-#define LANES 2
-#endif
 #ifdef FEW /* for calls with few samples, which would else compute a whole block */
 #define BLOCK LANES
 #else
@@ -48,8 +31,6 @@
 #endif
 #define STEPS (BLOCK / LANES)
 
-typedef double V __attribute__((vector_size(8 * LANES)));
-typedef int64_t I __attribute__((vector_size(8 * LANES)));
 typedef V S[STEPS]; /* one number of BLOCK samples */
 
 #define EACH for (int k = 0; k < STEPS; k++)
@@ -94,49 +75,11 @@ typedef struct {
 
 /* --- Vectors of samples ------------------------------------------------------------------------ */
 
-typedef struct {
-    V x, y, z;
-} V3;
-
-static inline V all(double x) { return x - (V){0}; }
-
-static inline V3 all3(const double *x) { return (V3){all(x[0]), all(x[1]), all(x[2])}; }
-
 static inline V3 get(S *x, int k) { return (V3){x[0][k], x[1][k], x[2][k]}; }
 
 static inline void put(S *x, int k, V3 y) { x[0][k] = y.x, x[1][k] = y.y, x[2][k] = y.z; }
 
-static inline V3 add(V3 a, V3 b) { return (V3){a.x + b.x, a.y + b.y, a.z + b.z}; }
-
-static inline V3 subtract(V3 a, V3 b) { return (V3){a.x - b.x, a.y - b.y, a.z - b.z}; }
-
-static inline V3 scaled(V3 a, V by) { return (V3){a.x * by, a.y * by, a.z * by}; }
-
 static inline V dot(V3 a, V3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-
-static inline V3 cross(V3 a, V3 b)
-{
-    return (V3){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-
-/* A rotation of 9 numbers, row by row: R x and R' x. */
-static inline V3 turn(const V *R, V3 x)
-{
-    return (V3){R[0] * x.x + R[1] * x.y + R[2] * x.z, R[3] * x.x + R[4] * x.y + R[5] * x.z,
-                R[6] * x.x + R[7] * x.y + R[8] * x.z};
-}
-
-static inline V3 turn_back(const V *R, V3 x)
-{
-    return (V3){R[0] * x.x + R[3] * x.y + R[6] * x.z, R[1] * x.x + R[4] * x.y + R[7] * x.z,
-                R[2] * x.x + R[5] * x.y + R[8] * x.z};
-}
-
-/* Acceleration of the point r of a body against that of its origin. */
-static inline V3 swing(V3 w, V3 alpha, V3 r)
-{
-    return add(cross(alpha, r), cross(w, cross(w, r)));
-}
 
 /* Coordinate `place` of a (samples, width) array; the last sample fills what is left of a block. */
 static inline void gather(S out, const double *x, int64_t width, int64_t place, int64_t n)
@@ -149,28 +92,12 @@ static inline void gather(S out, const double *x, int64_t width, int64_t place, 
         o[k] = x[(n - 1) * width];
 }
 
-/* Sine and cosine: reduction by pi/2 in three parts and the polynomials of fdlibm (below one unit in
- * the last place); beyond a million, where the parts no longer suffice, the library's. */
-static void sine_cosine(S x, S s, S c)
+/* Sine and cosine; beyond a million, where the parts of pi/2 no longer suffice, the library's. */
+static void sines_cosines(S x, S s, S c)
 {
-    const double part1 = 1.57079632673412561417e+00, part2 = 6.07710050630396597660e-11,
-                 part3 = 2.02226624879595063154e-21, to_integer = 0x1.8p52;
     I wild = {0};
     EACH {
-        V n = x[k] * 0.63661977236758134308 + to_integer;
-        I quarter = (I)n;
-        n -= to_integer;
-        V r = ((x[k] - n * part1) - n * part2) - n * part3, z = r * r;
-        V sine = r + r * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03
-            + z * (-1.98412698298579493134e-04 + z * (2.75573137070700676789e-06
-            + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)))));
-        V cosine = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02
-            + z * (-1.38888888888741095749e-03 + z * (2.48015872894767294178e-05
-            + z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09
-            + z * -1.13596475577881948265e-11)))));
-        I swap = -(quarter & 1), a = (I)sine, b = (I)cosine;
-        s[k] = (V)(((a & ~swap) | (b & swap)) ^ ((quarter & 2) << 62));
-        c[k] = (V)(((b & ~swap) | (a & swap)) ^ (((quarter + 1) & 2) << 62));
+        sine_cosine(x[k], &s[k], &c[k]);
         wild |= ~((x[k] < 1e6) & (x[k] > -1e6));
     }
     int64_t any = 0;
@@ -182,20 +109,6 @@ static void sine_cosine(S x, S s, S c)
             si[k] = sin(angle[k]);
             co[k] = cos(angle[k]);
         }
-}
-
-static inline void quaternion_matrix(V *R, V w, V x, V y, V z)
-{
-    V two = 2.0 / (w * w + x * x + y * y + z * z);
-    R[0] = 1.0 - two * (y * y + z * z);
-    R[1] = two * (x * y - w * z);
-    R[2] = two * (x * z + w * y);
-    R[3] = two * (x * y + w * z);
-    R[4] = 1.0 - two * (x * x + z * z);
-    R[5] = two * (y * z - w * x);
-    R[6] = two * (x * z - w * y);
-    R[7] = two * (y * z + w * x);
-    R[8] = 1.0 - two * (x * x + y * y);
 }
 
 /* --- Kinematics -------------------------------------------------------------------------------- */
@@ -273,7 +186,7 @@ static inline __attribute__((always_inline)) void move(Frame *f, Frame *before, 
     const V3 axis = all3(t->axis + 3 * j), back = scaled(all3(anchor), all(-1));
     S sine, cosine;
     if (kind == HINGE)
-        sine_cosine(q[0], sine, cosine);
+        sines_cosines(q[0], sine, cosine);
     EACH {
         V base[9], own[9], R[9];
         V3 w = get(before->w, k), alpha = get(before->alpha, k), r = all3(step.at);
@@ -593,50 +506,15 @@ typedef struct {
     const int64_t *first, *value, *column, *length;
 } Runs;
 
-#if LANES == 8
-#define PICK(x, y, ...) __builtin_shuffle(x, y, (I){__VA_ARGS__})
-#elif LANES == 4
-#define PICK(x, y, ...) __builtin_shuffle(x, y, (I){__VA_ARGS__})
-#endif
-
-/* LANES columns of as many samples become samples of as many columns, `step` apart. */
-static inline void transpose(const V *x, double *y, int64_t step)
-{
-    const int64_t next = STEPS;
-    V a[LANES];
-#if LANES == 8
-    V b[LANES];
-    for (int i = 0; i < 8; i += 2) {
-        a[i] = PICK(x[i * next], x[(i + 1) * next], 0, 8, 2, 10, 4, 12, 6, 14);
-        a[i + 1] = PICK(x[i * next], x[(i + 1) * next], 1, 9, 3, 11, 5, 13, 7, 15);
-    }
-    for (int i = 0; i < 8; i += 4)
-        for (int l = i; l < i + 2; l++) {
-            b[l] = PICK(a[l], a[l + 2], 0, 1, 8, 9, 4, 5, 12, 13);
-            b[l + 2] = PICK(a[l], a[l + 2], 2, 3, 10, 11, 6, 7, 14, 15);
-        }
-    for (int l = 0; l < 4; l++) {
-        a[l] = PICK(b[l], b[l + 4], 0, 1, 2, 3, 8, 9, 10, 11);
-        a[l + 4] = PICK(b[l], b[l + 4], 4, 5, 6, 7, 12, 13, 14, 15);
-    }
-#else
-    for (int l = 0; l < LANES; l++)
-        for (int i = 0; i < LANES; i++)
-            a[l][i] = x[i * next][l];
-#endif
-    for (int l = 0; l < LANES; l++)
-        memcpy(y + l * step, &a[l], sizeof(V));
-}
-
 /* A run of LANES samples, `step` apart. */
 static void lay(const V *x, int64_t length, double *y, int64_t step)
 {
     const int64_t next = STEPS;
     int64_t c = 0;
     for (; c + LANES <= length; c += LANES)
-        transpose(x + c * next, y + c, step);
+        transpose(x + c * next, next, y + c, step);
     if (c < length && length >= LANES) /* once more what is there, and the rest */
-        transpose(x + (length - LANES) * next, y + length - LANES, step);
+        transpose(x + (length - LANES) * next, next, y + length - LANES, step);
     else
         for (; c < length; c++)
             for (int64_t k = 0; k < LANES; k++)
@@ -874,21 +752,5 @@ EXPORT void LEVELLED(fold)(const Tree *t, const Plan *plan, const Motion *m, con
 }
 
 #ifdef SOURCE_HASH /* once in the library: of which text it was compiled, and what the machine runs */
-#define TEXT_(x) #x
-#define TEXT(x) TEXT_(x)
-
 EXPORT const char *kernel_source(void) { return TEXT(SOURCE_HASH); }
-
-EXPORT int kernel_runs(const char *level)
-{
-#if defined(__x86_64__)
-    __builtin_cpu_init();
-    if (!strcmp(level, "v4"))
-        return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl")
-            && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq");
-    if (!strcmp(level, "v3"))
-        return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-#endif
-    return !strcmp(level, "base");
-}
 #endif

@@ -91,7 +91,7 @@ def run_steps(loop: CompiledRun) -> Signals:
         state = _State(
             mj.nq, mj.nv, mj.nu, *(getattr(data, x).ctypes.data for x in _State._arrays_)
         )
-        record = _Record(*(getattr(out, name).ctypes.data for name in _SIGNALS))
+        record = _Record(*(getattr(out, name).ctypes.data for name in SIGNALS))
         # C sees addresses alone: these arrays have to live until the call returns.
         inputs = np.ascontiguousarray(loop.control, float)
         constant = -np.asarray(plant.terms.offset, float)
@@ -182,11 +182,12 @@ class _State(ctypes.Structure):
     )
 
 
-_SIGNALS: Final = ("q", "v", "a", "tau", "motor_q", "motor_v", "motor_a")
+SIGNALS: Final = ("q", "v", "a", "tau", "motor_q", "motor_v", "motor_a")
+"""Recorded arrays, in the order of the C structs."""
 
 
 class _Record(ctypes.Structure):
-    _fields_ = tuple((name, ctypes.c_void_p) for name in _SIGNALS)
+    _fields_ = tuple((name, ctypes.c_void_p) for name in SIGNALS)
 
 
 class _Drive(ctypes.Structure):

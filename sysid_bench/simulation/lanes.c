@@ -20,32 +20,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#ifndef LEVEL
-#define LEVEL base
-#endif
-#define JOIN_(a, b) a##_##b
-#define JOIN(a, b) JOIN_(a, b)
-#define LEVELLED(name) JOIN(name, LEVEL)
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
-
-#if defined(__AVX512F__)
-#define LANES 8
-#elif defined(__AVX__)
-#define LANES 4
-#else
-#define LANES 2
-#endif
-
-typedef double V __attribute__((vector_size(8 * LANES)));
-typedef int64_t I __attribute__((vector_size(8 * LANES)));
-
-typedef struct {
-    V x, y, z;
-} V3;
+#include "../vectors.h"
 
 enum { FREE, BALL, SLIDE, HINGE }; /* MuJoCo's kinds of joints */
 enum { STRIBECK, COUPLED, LUGRE, FRICTION, PERIODIC, GRAVITY_SPRING, CABLES }; /* as in steps.c */
@@ -106,8 +81,6 @@ typedef struct {
 
 /* --- Numbers in lanes -------------------------------------------------------------------------- */
 
-static inline V all(double x) { return x - (V){0}; }
-
 static inline V pick(I where, V a, V b) { return (V)((where & (I)a) | (~where & (I)b)); }
 
 static inline V size_of(V x) { return (V)((I)x & INT64_MAX); }
@@ -129,28 +102,6 @@ static inline V root(V x)
     for (int l = 0; l < LANES; l++)
         x[l] = sqrt(x[l]);
     return x;
-}
-
-/* Reduction by pi/2 in three parts and the polynomials of fdlibm, below one unit in the last place up
- * to a million radians; what turns further has diverged. */
-static inline void sine_cosine(V x, V *s, V *c)
-{
-    const double part1 = 1.57079632673412561417e+00, part2 = 6.07710050630396597660e-11,
-                 part3 = 2.02226624879595063154e-21, to_integer = 0x1.8p52;
-    V n = x * 0.63661977236758134308 + to_integer;
-    I quarter = (I)n;
-    n -= to_integer;
-    V r = ((x - n * part1) - n * part2) - n * part3, z = r * r;
-    V sine = r + r * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03
-        + z * (-1.98412698298579493134e-04 + z * (2.75573137070700676789e-06
-        + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)))));
-    V cosine = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02
-        + z * (-1.38888888888741095749e-03 + z * (2.48015872894767294178e-05
-        + z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09
-        + z * -1.13596475577881948265e-11)))));
-    I swap = -(quarter & 1), a = (I)sine, b = (I)cosine;
-    *s = (V)(((a & ~swap) | (b & swap)) ^ ((quarter & 2) << 62));
-    *c = (V)(((b & ~swap) | (a & swap)) ^ (((quarter + 1) & 2) << 62));
 }
 
 /* Reduction by ln 2 in two parts and Taylor's series to the 13th power, two units in the last place;
@@ -177,30 +128,6 @@ static inline V hyperbolic_tangent(V x)
     return (V)((I)y | ((I)x & INT64_MIN));
 }
 
-static inline V3 all3(const double *x) { return (V3){all(x[0]), all(x[1]), all(x[2])}; }
-
-static inline V3 add(V3 a, V3 b) { return (V3){a.x + b.x, a.y + b.y, a.z + b.z}; }
-
-static inline V3 scaled(V3 a, V by) { return (V3){a.x * by, a.y * by, a.z * by}; }
-
-static inline V3 cross(V3 a, V3 b)
-{
-    return (V3){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-
-/* A rotation of 9 numbers, row by row: R x and R' x. */
-static inline V3 turn(const V *R, V3 x)
-{
-    return (V3){R[0] * x.x + R[1] * x.y + R[2] * x.z, R[3] * x.x + R[4] * x.y + R[5] * x.z,
-                R[6] * x.x + R[7] * x.y + R[8] * x.z};
-}
-
-static inline V3 turn_back(const V *R, V3 x)
-{
-    return (V3){R[0] * x.x + R[3] * x.y + R[6] * x.z, R[1] * x.x + R[4] * x.y + R[7] * x.z,
-                R[2] * x.x + R[5] * x.y + R[8] * x.z};
-}
-
 /* Symmetric matrix xx xy xz yy yz zz times a vector. */
 static inline V3 times(const V *J, V3 x)
 {
@@ -208,29 +135,9 @@ static inline V3 times(const V *J, V3 x)
                 J[2] * x.x + J[4] * x.y + J[5] * x.z};
 }
 
-/* Acceleration of the point r of a body against that of its origin. */
-static inline V3 swing(V3 w, V3 alpha, V3 r)
-{
-    return add(cross(alpha, r), cross(w, cross(w, r)));
-}
-
 /* --- Kinematics, bias and mass matrix ---------------------------------------------------------- */
 
 static int dofs_of(int64_t kind) { return kind == FREE ? 6 : kind == BALL ? 3 : 1; }
-
-static inline void quaternion_matrix(V *R, const V *q)
-{
-    V w = q[0], x = q[1], y = q[2], z = q[3], two = 2.0 / (w * w + x * x + y * y + z * z);
-    R[0] = 1.0 - two * (y * y + z * z);
-    R[1] = two * (x * y - w * z);
-    R[2] = two * (x * z + w * y);
-    R[3] = two * (x * y + w * z);
-    R[4] = 1.0 - two * (x * x + z * z);
-    R[5] = two * (y * z - w * x);
-    R[6] = two * (x * z - w * y);
-    R[7] = two * (y * z + w * x);
-    R[8] = 1.0 - two * (x * x + y * y);
-}
 
 static inline void place(const Tree *t, int64_t j, const V *q, Frame *f)
 {
@@ -253,12 +160,12 @@ static inline void place(const Tree *t, int64_t j, const V *q, Frame *f)
             f->R[i] = all(R0[i]);
         break;
     case BALL:
-        quaternion_matrix(Q, q);
+        quaternion_matrix(Q, q[0], q[1], q[2], q[3]);
         for (int i = 0; i < 9; i += 3)
             for (int k = 0; k < 3; k++)
                 f->R[i + k] = R0[i] * Q[k] + R0[i + 1] * Q[3 + k] + R0[i + 2] * Q[6 + k];
         break;
-    case FREE: quaternion_matrix(f->R, q + 3); break; /* of its position nothing depends */
+    case FREE: quaternion_matrix(f->R, q[3], q[4], q[5], q[6]); break; /* of its position nothing depends */
     }
 }
 
@@ -937,48 +844,6 @@ static void record_step(const Tree *t, const Group *g, double h, const V *a, int
     }
 }
 
-#if defined(__clang__) || __GNUC__ >= 12
-#define PICK(x, y, ...) __builtin_shufflevector(x, y, __VA_ARGS__)
-#else
-#define PICK(x, y, ...) __builtin_shuffle(x, y, (I){__VA_ARGS__})
-#endif
-
-/* LANES numbers in lanes become LANES rows of numbers, `step` apart. */
-static inline void transpose(const V *x, double *y, int64_t step)
-{
-    V a[LANES];
-#if LANES == 8
-    V b[LANES];
-    for (int i = 0; i < 8; i += 2) {
-        a[i] = PICK(x[i], x[i + 1], 0, 8, 2, 10, 4, 12, 6, 14);
-        a[i + 1] = PICK(x[i], x[i + 1], 1, 9, 3, 11, 5, 13, 7, 15);
-    }
-    for (int i = 0; i < 8; i += 4)
-        for (int l = i; l < i + 2; l++) {
-            b[l] = PICK(a[l], a[l + 2], 0, 1, 8, 9, 4, 5, 12, 13);
-            b[l + 2] = PICK(a[l], a[l + 2], 2, 3, 10, 11, 6, 7, 14, 15);
-        }
-    for (int l = 0; l < 4; l++) {
-        a[l] = PICK(b[l], b[l + 4], 0, 1, 2, 3, 8, 9, 10, 11);
-        a[l + 4] = PICK(b[l], b[l + 4], 4, 5, 6, 7, 12, 13, 14, 15);
-    }
-#elif LANES == 4
-    for (int i = 0; i < 4; i += 2) {
-        a[i] = PICK(x[i], x[i + 1], 0, 4, 2, 6);
-        a[i + 1] = PICK(x[i], x[i + 1], 1, 5, 3, 7);
-    }
-    for (int l = 0; l < 2; l++) {
-        V low = PICK(a[l], a[l + 2], 0, 1, 4, 5), high = PICK(a[l], a[l + 2], 2, 3, 6, 7);
-        a[l] = low, a[l + 2] = high;
-    }
-#else
-    a[0] = PICK(x[0], x[1], 0, 2);
-    a[1] = PICK(x[0], x[1], 1, 3);
-#endif
-    for (int l = 0; l < LANES; l++)
-        memcpy(y + l * step, &a[l], sizeof(V));
-}
-
 /* Write the samples of a block up to k. */
 static void write_block(const Tree *t, const Group *g, const Call *c, const Record *out,
                         int64_t first, int64_t count, int64_t k)
@@ -994,7 +859,7 @@ static void write_block(const Tree *t, const Group *g, const Call *c, const Reco
         double *to = signals[s] + first * plant + start * own;
         int64_t i = 0;
         for (; count == LANES && i + LANES <= size; i += LANES)
-            transpose(from + i, to + i, plant);
+            transpose(from + i, 1, to + i, plant);
         for (int64_t l = 0; l < count; l++)
             for (int64_t r = i; r < size; r++)
                 to[l * plant + r] = from[r][l];
@@ -1631,20 +1496,5 @@ EXPORT int64_t LEVELLED(sensitivities)(const Tree *t, const Model *m, int64_t co
 }
 
 #ifdef SOURCE_HASH
-#define TEXT_(x) #x
-#define TEXT(x) TEXT_(x)
 EXPORT const char *lanes_source(void) { return TEXT(SOURCE_HASH); }
-
-EXPORT int kernel_runs(const char *level)
-{
-#if defined(__x86_64__)
-    __builtin_cpu_init();
-    if (!strcmp(level, "v4"))
-        return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl")
-            && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq");
-    if (!strcmp(level, "v3"))
-        return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-#endif
-    return !strcmp(level, "base");
-}
 #endif

@@ -18,7 +18,7 @@ import numpy as np
 from sysid_bench.errors import EstimationError
 from sysid_bench.instruction_sets import LEVELS, levelled_library
 from sysid_bench.models.tree import BALL, FREE, Tree, TreeJoint
-from sysid_bench.simulation.compiled_steps import INPUTS, KINDS, Signals, torque_range
+from sysid_bench.simulation.compiled_steps import INPUTS, KINDS, SIGNALS, Signals, torque_range
 from sysid_bench.simulation.elastic_drives import Drive
 from sysid_bench.simulation.plant import Plant, set_inertia, start_states
 from sysid_bench.spatial import inertia_transform
@@ -342,7 +342,4 @@ class _Call(ctypes.Structure):
 
 
 class _Record(ctypes.Structure):
-    _fields_ = tuple(
-        (name, ctypes.c_void_p)
-        for name in ("q", "v", "a", "tau", "motor_q", "motor_v", "motor_a", "unsolved")
-    )
+    _fields_ = tuple((name, ctypes.c_void_p) for name in (*SIGNALS, "unsolved"))

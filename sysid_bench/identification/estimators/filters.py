@@ -192,7 +192,7 @@ class _NonlinearFilter(ABC):
         diverges, UnsupportedError for joints without scalar positions."""
         model = joint_filter(experiment, f"The {type(self).__name__}", self.substeps)
         start = belief = model.measured(model.start(), 0)
-        unscented = self._unscented(len(start.mean))
+        unscented = self.weights(len(start.mean))
         steps = compiled_steps(model.forward, model.measured_motion) if filters_library() else None
         if steps is not None:
             noise, state = (model.q_noise, model.tau_noise), (start.mean, start.covariance)
@@ -202,9 +202,8 @@ class _NonlinearFilter(ABC):
             belief = model.measured(self._predicted(model, belief, k), k + 1)
         return model.result(belief, start)
 
-    def _unscented(self, size: int) -> tuple[float, float] | None:
-        """Spread of sigma points and further weight of their centre for states of a size; None
-        for a filter without."""
+    def weights(self, size: int) -> tuple[float, float] | None:
+        """Return those of sigma points; None for a filter without."""
         return None
 
     @abstractmethod
@@ -270,9 +269,6 @@ class UKF(_NonlinearFilter):
         """Raise UsageError unless alpha is positive."""
         if not self.alpha > 0:
             raise UsageError(f"alpha = {self.alpha}: give a positive number.")
-
-    def _unscented(self, size: int) -> tuple[float, float] | None:
-        return self.weights(size)
 
     def weights(self, size: int) -> tuple[float, float]:
         """Return the spread L + lambda of states of a size, and the further weight of the centre.

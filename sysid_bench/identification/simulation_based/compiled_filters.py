@@ -52,7 +52,7 @@ def run_filter(
     work.restype = ctypes.c_int64
     scratch = np.empty(work(ctypes.c_int64(n), ctypes.c_int64(len(mean) - 2 * n)))
     places = [ctypes.c_void_p(x.ctypes.data) for x in (mean, P, scratch)]
-    settings = [] if unscented is None else [ctypes.byref(_Unscented(*unscented))]
+    settings = [] if unscented is None else [ctypes.c_double(x) for x in unscented]
     run = getattr(dll, f"{'extended' if unscented is None else 'unscented'}_{suffix}")
     run.restype = ctypes.c_int64
     code = run(ctypes.byref(given), *settings, *places)
@@ -69,7 +69,3 @@ class _Filter(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in
           ("q", "q_noise", "tau_noise", "tree", "model", "step", "memory")),
     )  # fmt: skip
-
-
-class _Unscented(ctypes.Structure):
-    _fields_ = (("spread", ctypes.c_double), ("further", ctypes.c_double))

@@ -10,17 +10,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#ifndef LEVEL
-#define LEVEL base
-#endif
-#define JOIN_(a, b) a##_##b
-#define JOIN(a, b) JOIN_(a, b)
-#define LEVELLED(name) JOIN(name, LEVEL)
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
+#include "../../vectors.h"
 
 enum { DONE, SINGULAR, DIVERGED, INDEFINITE }; /* the first three as the model's */
 
@@ -41,11 +31,6 @@ typedef struct {
     const void *tree, *model;
     void *step, *step_memory;
 } Filter;
-
-/* Unscented transform: L + lambda, and the centre's further weight in the covariance. */
-typedef struct {
-    double spread, further;
-} Unscented;
 
 /* y (m) += by x (m). */
 static inline void add_row(int64_t m, double by, const double *restrict x, double *restrict y)
@@ -220,17 +205,18 @@ static int root(int64_t m, const double *P, double *U, double *scale)
     return 0;
 }
 
-/* Scaled unscented transform of the model from sample k on. Sigma points stand at the mean, and at
+/* Scaled unscented transform of the model from sample k on, `spread` L + lambda and the centre with
+ * `further` weight in the covariance. Sigma points stand at the mean, and at
  * plus and minus each row of the root; the weights of the others are equal, and beta stays. */
-static int64_t transform(const Filter *f, const Unscented *u, int64_t k, double *mean, double *P,
-                         double *inverse, double *work)
+static int64_t transform(const Filter *f, double spread, double further, int64_t k, double *mean,
+                         double *P, double *inverse, double *work)
 {
     const int64_t n = f->n, m = 2 * n + f->r, states = 2 * n, all = 2 * m + 1;
     double *U = work, *scale = U + m * m, *points = scale + m, *moved = points + all * m;
     double *shift = moved + all * states;
     if (!root(m, P, U, scale))
         return INDEFINITE;
-    const double size = sqrt(u->spread), weight = 0.5 / u->spread;
+    const double size = sqrt(spread), weight = 0.5 / spread;
     for (int64_t i = 0; i < all; i++)
         memcpy(points + i * m, mean, 8 * (size_t)m);
     for (int64_t i = 0; i < m; i++) {
@@ -258,7 +244,7 @@ static int64_t transform(const Filter *f, const Unscented *u, int64_t k, double 
                     P + l * m + first);
     }
     for (int64_t l = 0; l < states; l++) {
-        add_row(states, u->further * shift[l], shift, P + l * m);
+        add_row(states, further * shift[l], shift, P + l * m);
         for (int64_t c = states; c < m; c++)
             P[c * m + l] = P[l * m + c];
     }
@@ -268,13 +254,13 @@ static int64_t transform(const Filter *f, const Unscented *u, int64_t k, double 
 }
 
 /* Unscented filter, as the extended one. */
-EXPORT int64_t LEVELLED(unscented)(const Filter *f, const Unscented *u, double *mean, double *P,
-                                   double *work)
+EXPORT int64_t LEVELLED(unscented)(const Filter *f, double spread, double further, double *mean,
+                                   double *P, double *work)
 {
     const int64_t n = f->n, m = 2 * n + f->r;
     double *inverse = work, *rest = inverse + n * n;
     for (int64_t k = 0; k + 1 < f->samples; k++) {
-        const int64_t how = transform(f, u, k, mean, P, inverse, rest);
+        const int64_t how = transform(f, spread, further, k, mean, P, inverse, rest);
         if (how != DONE)
             return how;
         add_noise(f, inverse, P);
@@ -286,20 +272,5 @@ EXPORT int64_t LEVELLED(unscented)(const Filter *f, const Unscented *u, double *
 }
 
 #ifdef SOURCE_HASH
-#define TEXT_(x) #x
-#define TEXT(x) TEXT_(x)
 EXPORT const char *filters_source(void) { return TEXT(SOURCE_HASH); }
-
-EXPORT int kernel_runs(const char *level)
-{
-#if defined(__x86_64__)
-    __builtin_cpu_init();
-    if (!strcmp(level, "v4"))
-        return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl")
-            && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq");
-    if (!strcmp(level, "v3"))
-        return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-#endif
-    return !strcmp(level, "base");
-}
 #endif

@@ -84,17 +84,12 @@ class AccelerationModel:
     ) -> tuple[Array, Array]:
         """Acceleration (S, n), and the matrix (S, n, n) that was solved with: M, with unit rows for
         the joints whose acceleration is `given`."""
-        needed = self._needed(beta, q, v)
-        bias, M = needed[:, 0], (needed[:, 1:] - needed[:, :1]).transpose(0, 2, 1)
-        return acceleration_of(M, tau - bias, given)
-
-    def _needed(self, beta: Array, q: Array, v: Array) -> Array:
-        """Torques (S, n + 1, n) of zero and unit accelerations, each state with its own beta."""
         motion, shape = unit_acceleration(q, v), (len(q), q.shape[1] + 1, q.shape[1])
         Y = regressor_of(self.experiment, motion).reshape(*shape, -1)
-        return np.asarray((Y @ beta[:, None, :, None])[..., 0]) + self.experiment.known(
-            motion
-        ).reshape(shape)
+        needed = (Y @ beta[:, None, :, None])[..., 0]
+        needed += self.experiment.known(motion).reshape(shape)
+        bias, M = needed[:, 0], (needed[:, 1:] - needed[:, :1]).transpose(0, 2, 1)
+        return acceleration_of(M, tau - bias, given)
 
     def torque(self, beta: Array, motion: Trajectory) -> Array:
         """Inverse dynamics (S, n) of one beta (r,) along a motion."""
@@ -169,17 +164,13 @@ def compiled_steps(forward: AccelerationModel, measured: MeasuredMotion) -> Any:
     # Rows are affine in beta and smooth in the state: three samples that differ would show a gap.
     at = [0, len(motion) // 3, len(motion) - 1]
     few = Trajectory(motion.t[at], motion.q[at], motion.v[at], motion.a[at])
-    expected = regressor_of(experiment, few), experiment.known(few)
-    own = np.ones(expected[0].shape[2], bool)
-    own[measured.columns] = False
-    for k in range(len(at)):
-        Y, known = np.empty(expected[0].shape[1:]), np.empty(expected[1].shape[1])
-        q, v, a = (np.ascontiguousarray(x[k]) for x in (few.q, few.v, few.a))
-        steps.call("model_rows", q, v, a, Y, known)
-        pairs = (Y[:, own], expected[0][k][:, own]), (known, expected[1][k])
-        for found, wanted in pairs:
-            size = np.abs(wanted).max(initial=0.0)
-            if not (np.abs(found - wanted) <= CLOSE * size).all():
+    signals = few.q, few.v, few.a, regressor_of(experiment, few), experiment.known(few)
+    for *sample, wanted_Y, wanted in zip(*signals, strict=True):
+        Y, known = np.empty(wanted_Y.shape), np.empty(wanted.shape)
+        steps.call("model_rows", *map(np.ascontiguousarray, sample), Y, known)
+        Y[:, measured.columns] = wanted_Y[:, measured.columns]
+        for found, expected in ((Y, wanted_Y), (known, wanted)):
+            if not (np.abs(found - expected) <= CLOSE * np.abs(expected).max(initial=0.0)).all():
                 return None
     return steps
 
