@@ -157,6 +157,7 @@ side-by-side: $(CLUSTER_STAMP) $(DOCS_STAMP)
 
 clean:
 	find .cmake -mindepth 1 ! -name CMakeLists.txt ! -name .gitignore -delete
-	rm -f sysid_bench/regressors/libregressor.* sysid_bench/simulation/libsteps.* sysid_bench/simulation/liblanes.*
+	rm -f sysid_bench/regressors/libregressor.* sysid_bench/simulation/libsteps.* sysid_bench/simulation/liblanes.* \
+		sysid_bench/identification/simulation_based/libfilters.*
 	rm -rf build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks $(STAMP) $(DOCS_STAMP) $(CLUSTER_STAMP)
 	find sysid_bench tests -name __pycache__ -type d -prune -exec rm -rf {} +
