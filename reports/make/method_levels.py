@@ -2,7 +2,9 @@
 
     python -m reports.make.method_levels LEVELS [RECORDED]
 
-LEVELS is a run of the suite `method-levels`, RECORDED one of `real`. Prints, as Markdown:
+LEVELS is a run of the suite `method-levels`, RECORDED one of `real` with robots whose torque was
+measured (`--select 'task == "robot" and excitation == "training motions" and robot != "so101"'`:
+the torque of that one is the law of its servos). Prints, as Markdown:
 
 1. the error of each method over that of wls at each level and on recorded robots (median over
    robots of the difference of their mean log errors);
