@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -289,7 +290,7 @@ def table_fields(fields: Iterable[str], metrics: Iterable[str]) -> frozenset[str
     more = [text for name in names for text in (f"{name}_names", f"{REASONS}.{name}")]
     always = ["id", "status", "repeat", "same_simulator", FRAME_DEPENDENT]
     if ERROR in names:
-        always += ["experiment", *BASELINES.values()]
+        always += ["experiment", *chain.from_iterable(BASELINES.values())]
     return frozenset((*always, *SWEEPABLE, *SETTING, *fields, *names, *more))
 
 
