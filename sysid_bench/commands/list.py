@@ -43,7 +43,13 @@ class List(Request[list[dict[str, Any]]]):
         if as_json:
             print_json(self.run())
         else:
-            print_entries(self.run(), f"sysid-bench list {self.kind or 'KIND'} | less")
+            # First: a title that is too long for its lines loses its end.
+            marked = [
+                entry | {"title": f"(not ranked) {entry['title']}"}
+                if entry.get("frame_dependent") else entry
+                for entry in self.run()
+            ]  # fmt: skip
+            print_entries(marked, f"sysid-bench list {self.kind or 'KIND'} | less")
         return OK
 
 

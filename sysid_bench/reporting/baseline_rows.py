@@ -16,10 +16,14 @@ BASELINES: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Label in the place of an estimator -> fields of the rows of an experiment, the lowest counts."""
 
+ROUNDING: Final = 1e-9
+"""Errors of a model that explains the tests exactly: no floor of what can be identified."""
+
 CAPTION: Final = (
     "Null model: bodies of the model file (of a simulated robot: of its prior) with fitted joint "
     "terms; an answer above it identified nothing. Floor: the lower of the training torque, played "
-    "again where a test repeats its motion, and of the model fitted to the tests themselves."
+    "again where a test repeats its motion, and of the model fitted to the tests themselves; none "
+    "where that is exact."
 )
 
 _SHARED: Final = {*LABELS, "repeat", "experiment"}
@@ -37,7 +41,7 @@ def with_baselines(cells: pd.DataFrame) -> pd.DataFrame:
     shared = first[[name for name in first.columns if name in _SHARED]].assign(status="ok")
     parts = [cells]
     for label, fields in BASELINES.items():
-        errors = first[[name for name in fields if name in first]].min(axis=1)
-        if (known := errors.notna()).any():
+        errors = first[[name for name in fields if name in first]].astype(float).min(axis=1)
+        if (known := errors > ROUNDING).any():
             parts.append(shared.assign(estimator=label, **{ERROR: errors})[known])
     return pd.concat(parts, ignore_index=True) if len(parts) > 1 else cells

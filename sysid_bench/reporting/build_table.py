@@ -160,7 +160,7 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
     """Sentences below a table."""
     pooled = _pooled_fields(cells, layout)
     if pooled:
-        yield f"Each number pools different settings: {', '.join(pooled)}."
+        yield f"Each number is taken over different settings: {', '.join(pooled)}."
     # Rows whose plant is integrated as the models of methods that simulate are.
     same = int(cells["same_simulator"].eq(True).sum()) if "same_simulator" in cells.columns else 0
     if same:
@@ -190,11 +190,11 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
 
 
 def _pooled_fields(cells: "pd.DataFrame", layout: TableLayout) -> list[str]:
-    """Fields that differ between the cells of an entry, "COUNT of FIELD": its statistic compares
+    """Fields that differ between the cells of an entry, "FIELD (COUNT)": its statistic compares
     unlike settings. Settings that plants bring along are not counted beside the plants."""
     swept = [field for field in SWEEPABLE if field in cells.columns and field not in layout.fields]
     counts = {field: _pooled_values(cells, field, layout) for field in swept}
-    return [f"{count} of {field}" for field, count in counts.items() if count > 1]
+    return [f"{field} ({count})" for field, count in counts.items() if count > 1]
 
 
 def _pooled_values(cells: "pd.DataFrame", field: str, layout: TableLayout) -> int:

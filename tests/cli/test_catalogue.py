@@ -69,8 +69,10 @@ def test_on_a_terminal_a_list_fits(
 def test_a_piped_list_has_a_line_each(cli: Run) -> None:
     entries = sysid_bench.list_("estimators")
     lines = cli("list", "estimators").stdout.splitlines()
+    marks = ["(not ranked) " * ("frame_dependent" in entry) for entry in entries]
+    assert "(not ranked) " in marks
     assert [line.split(maxsplit=1) for line in lines] == [
-        [entry["name"], entry["title"]] for entry in entries
+        [entry["name"], mark + entry["title"]] for mark, entry in zip(marks, entries, strict=True)
     ]
 
 

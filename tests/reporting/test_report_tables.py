@@ -211,7 +211,7 @@ def test_rows_and_columns_stand_in_the_order_of_the_cells(cells: pd.DataFrame) -
 
 def test_a_table_says_over_what_it_pools(cells: pd.DataFrame) -> None:
     pooled = table_of(cells, ["robot"], ["estimator"])
-    assert "2 of noise" in pooled.notes[0]
+    assert "noise (2)" in pooled.notes[0]
     assert "3 of payload" in pooled.notes[0]
     assert table_of(cells, ["robot", "payload"], ["noise", "estimator"]).notes == ()
 
@@ -223,7 +223,7 @@ def test_what_plants_bring_along_is_not_pooled_beside_them(cells: pd.DataFrame) 
     (by_level,) = table_of(levels, ["robot", "payload"], ["plant", "noise"]).notes or ("",)
     assert "simulation" not in by_level
     (over_levels,) = table_of(levels, ["robot", "payload"], ["noise"]).notes
-    assert "2 of plant" in over_levels
+    assert "plant (2)" in over_levels
     assert "simulation" not in over_levels
     crossed = pd.concat([levels, levels.assign(simulation="other")])
     (note,) = table_of(crossed, ["robot", "payload"], ["plant", "noise"]).notes

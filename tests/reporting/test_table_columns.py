@@ -51,4 +51,4 @@ def test_labels_that_all_cells_share_change_no_table(columns: list[str], count: 
     texts = [to_markdown(build_table(cells, spec, holds)) for cells in (lines, frames.by_joint)]
     assert texts[0] == texts[1]
     assert "0." in texts[0]
-    assert ("pools" in texts[0]) == (count > 2)
+    assert ("is taken over" in texts[0]) == (count > 2)
