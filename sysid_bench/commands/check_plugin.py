@@ -65,8 +65,8 @@ check_plugin = python_function(CheckPlugin, "check_plugin")
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckPluginResult(Result):
     """Verdict on a plug-in; `bias`: the declared bias of an estimator; `broken`: failed checks as
-    {law, case, message}; `unchecked`: what could not be checked of it. The keys `estimator` (for `plugin`), `world` (`case`) and `said`
-    (`message`) are those of earlier versions."""
+    {law, case, message}; `unchecked`: what could not be checked of it. The keys `estimator` (for
+    `plugin`), `world` (`case`) and `said` (`message`) are those of earlier versions."""
 
     plugin: str
     estimator: str
@@ -114,7 +114,7 @@ def plugin_findings(
 
 def _unchecked(plugin: Any, kind: str) -> str:
     """What no check of an estimator has measured; empty where all were."""
-    if kind != "estimator" or hasattr(plugin, "solve") or getattr(plugin, FRAME_DEPENDENT, ""):
+    if kind != "estimator" or hasattr(plugin, "solve") or getattr(plugin, FRAME_DEPENDENT, False):
         return ""
     # Other frames would change the model that `simulate` runs, which `fit` cannot be given.
     return (
