@@ -72,18 +72,46 @@ def test_a_planted_fault_is_found(words: str, made: list[Made]) -> None:
 @pytest.mark.parametrize("part", [0, 1])
 def test_a_page_older_than_its_code_says_so(part: int, made: list[Made]) -> None:
     old = list(made)
-    old[part] = replace(made[part], sources={**made[part].sources, "evaluation": "00000000"})
+    old[part] = replace(
+        made[part], sources={**(made[part].sources or {}), "evaluation": "00000000"}
+    )
     assert ["changes of evaluation" in one for one in found_in("page", PAGE, old)] == [True]
     said = with_declaration("page", PAGE, {"evaluation"})
     assert not found_in("page", said, old)
     assert with_declaration("page", said, set()) == PAGE
 
 
-def test_a_page_without_commands_says_that_figures_are_copied() -> None:
+def test_copied_figures_are_declared_by_named_pages_alone() -> None:
     text = "# Page\n\nThree of 17.\n"
-    assert len(found_in("page", text, [])) == 2
     said = text + "\nIts figures are of commit 0123abcd and are checked by no command.\n"
-    assert not found_in("page", said, [])
+    assert not found_in("speed", said, [])
+    assert len(found_in("speed", text, [])) == 1
+    assert len(found_in("page", text, [])) == len(found_in("page", said, [])) == 2
+
+
+def test_a_part_that_was_not_made_again_keeps_its_text(made: list[Made]) -> None:
+    part = "```\nx\n```\n\nNot made again since commit 0123abcd: hours.\n"
+    old = [replace(made_part(RUN, part, "0123abcd"), sources=None), made[1]]
+    page = PAGE.replace(STAMP, part.strip())
+    assert not found_in("page", page, old)
+    assert found_in("page", page.replace("hours", "minutes"), old)
+    assert found_in("page", PAGE, old)
+
+
+def test_each_of_two_parts_of_a_command_is_checked(made: list[Made]) -> None:
+    copy = f"<!-- made by: {TABLE} -->\n{CELLS.replace('0.310', '0.210')}\n<!-- end -->\n\n"
+    start = f"<!-- made by: {TABLE}"
+    for page in (PAGE.replace(start, copy + start), PAGE + "\n" + copy):
+        assert len(found_in("page", page, made)) >= 2
+
+
+@pytest.mark.parametrize(
+    "words", ["2x", "3ms", "[0.9, 1.2]", "in 2024", "1:50", "0<!-- is: ur5 | ols -->",
+              "0.06<!-- is: ur5 | wls -->", "-0<!-- is: ur5 | ols -->"],
+)  # fmt: skip
+def test_a_number_is_seen_wherever_it_stands(words: str) -> None:
+    assert problems(PAGE + f"\nIt errs {words} more.\n")
+    assert not problems(PAGE + "\n0.06<!-- is: ur5 | wls #3 --> on 2026-11-24 (Gautier 1997).\n")
 
 
 @pytest.mark.parametrize("number", ["0.31", "0.310", "3.1e-1", "0.3"])

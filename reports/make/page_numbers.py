@@ -2,9 +2,11 @@
 
 `0.71<!-- is: TITLE | ROW | COLUMN -->` binds the number before it: words of the bold line above
 the table, of the first columns of the row, and of the head of the column, as far as they are needed
-to find one cell; `<!-- is: text WORDS -->` binds it to the number after these words in what a
+to find one cell, and `#2` for the second number of the cell, as an end of an interval;
+`<!-- is: text WORDS -->` binds it to the number after these words in what a
 command printed. `<!-- given: 10 95 95 -->` lists all numbers that are settings or published ones,
-each as often as it is written.
+each as often as it is written. Numbers in code, in years of publications and as words are not
+looked at.
 """
 
 import re
@@ -15,13 +17,14 @@ from typing import Final
 
 PART: Final = re.compile(r"<!-- made by: (.*?) -->\n(.*?)<!-- end -->", re.DOTALL)
 _GIVEN: Final = re.compile(r"<!-- given: (.*?) -->", re.DOTALL)
-_NUMBER: Final = r"(?<![\w./#:\[-])[-−]?\d+(?:[.,]\d+)*(?:e[+-]?\d+)?(?![\w/])"
+_NUMBER: Final = r"(?<![\w./#-])[-−]?\d+(?:[.,]\d+)*(?:e[+-]?\d+)?(?!\d)"
 _BOUND: Final = re.compile(rf"({_NUMBER})((?: ?(?:%|°|\w{{1,3}}))?)<!-- is: (.*?) -->", re.DOTALL)
 _NOT_SENTENCES: Final = (
     re.compile(r"```.*?```", re.DOTALL),
     re.compile(r"`[^`]*`"),
     re.compile(r"\]\([^)]*\)"),
-    re.compile(r"\b(?:19|20)\d\d\b"),  # years
+    re.compile(r"\b20\d\d-\d\d-\d\d\b"),
+    re.compile(r"(?<=[a-z.,] )(?:19|20)\d\d(?=[);,])|\((?:19|20)\d\d\)"),  # "(Gautier 1997)"
     re.compile(r"\bcommit [0-9a-f]{7,40}\b"),
     re.compile(r"<!--.*?-->", re.DOTALL),
 )
@@ -103,11 +106,13 @@ def _difference(number: str, address: str, cells: Sequence[Cell], printed: str) 
         if len(after) != 1:
             return f"these words are printed {len(after)} times"
         return "" if _is(number, values[0]) else f"{values[0]} is printed there"
-    place = [word.strip() for word in address.split("|")]
-    fit = [cell for cell in cells if cell.has(place)]
+    address, _, place = address.partition(" #")
+    words_of = [word.strip() for word in address.split("|")]
+    fit = [cell for cell in cells if cell.has(words_of)]
     if len(fit) != 1:
         return f"{len(fit)} cells have these words"
-    return "" if _is(number, fit[0].numbers) else f"the cell is '{fit[0].text}'"
+    index = int(place or 1) - 1
+    return "" if _is(number, fit[0].numbers[index : index + 1]) else f"the cell is '{fit[0].text}'"
 
 
 def _is(number: str, values: Sequence[str]) -> bool:
@@ -117,7 +122,8 @@ def _is(number: str, values: Sequence[str]) -> bool:
     digits = len(mantissa.partition(".")[2])
     unit = 10.0 ** (int(exponent or 0) - digits)
     wanted = float(plain)
+    known = [float(value.replace(",", "").replace("−", "-")) for value in values]
+    # A value that rounds to zero has no digit that could be wrong.
     return any(
-        abs(float(v.replace(",", "").replace("−", "-")) - wanted) <= 0.5 * unit * (1 + 1e-9)
-        for v in values
+        abs(one - wanted) <= 0.5 * unit * (1 + 1e-9) and (wanted != 0 or one == 0) for one in known
     )

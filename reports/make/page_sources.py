@@ -47,13 +47,13 @@ def sources(command: str, root: Path = ROOT) -> dict[str, str]:
         names = _strings(content)
         used = sorted({_NAMES[name] for name in names if name in _NAMES})
         return _code((_ROWS, *used), root) | _data(
-            root, (suite, *_robots(names, _strings((content or {}).get("log")), root))
+            root, (suite, *_named(names, _strings((content or {}).get("log")), root))
         )
     found = find_verb(verb)
     code = _code((found.target.partition(":")[0],) if found else (), root)
     if verb in _PRINTING:
         return {room: digest for room, digest in code.items() if room in _PRINTED_BY}
-    return code | _data(root, _robots(rest, rest, root))
+    return code | _data(root, _named(rest, rest, root))
 
 
 def changed(before: Mapping[str, str], now: Mapping[str, str]) -> set[str]:
@@ -84,7 +84,10 @@ def _code(modules: tuple[str, ...], root: Path) -> dict[str, str]:
             rooms.setdefault(room, {})[name] = digest
     for room, files in rooms.items():
         folder = root / "sysid_bench" / room
-        files |= {c.name: _c_digest(c) for c in (*folder.glob("*.c"), *folder.glob("*.h"))}
+        # The header of all compiled files, then those of the package and its tables.
+        compiled = [*(root / "sysid_bench").glob("*.h"), *folder.rglob("*.c"), *folder.rglob("*.h")]
+        files |= {c.name: _c_digest(c) for c in compiled}
+        files |= {one.name: canonical_hash(_toml(one)) for one in folder.rglob("*.toml")}
     return {room: canonical_hash(files)[:8] for room, files in rooms.items()}
 
 
@@ -150,10 +153,18 @@ def _strings(value: Any) -> set[str]:
     return set().union(*map(_strings, items)) if isinstance(items, Iterable) else set()
 
 
-def _robots(names: Iterable[str], data_sets: Iterable[str], root: Path) -> list[str]:
-    """Folders of robots and descriptions of data sets with one of these names."""
+def _named(names: Iterable[str], data_sets: Iterable[str], root: Path) -> list[str]:
+    """Folders of robots, files of plants, with those that they are made of, and descriptions of
+    data sets with one of these names."""
     found = [f"robots/{name}" for name in names] + [f"data/datasets/{n}.toml" for n in data_sets]
-    return sorted(p for p in found if re.fullmatch(r"[\w/.-]+", p) and (root / p).exists())
+    plants, todo = set[str](), set(names)
+    while todo:
+        new = {f"data/plants/{name}.toml" for name in todo} - plants
+        new = {path for path in new if re.fullmatch(r"[\w/.-]+", path) and (root / path).exists()}
+        todo = set[str]().union(*(_strings(_toml(root / path)) for path in new))
+        plants |= new
+    found = [p for p in found if re.fullmatch(r"[\w/.-]+", p) and (root / p).exists()]
+    return sorted({*found, *plants})
 
 
 def _data(root: Path, paths: Iterable[str]) -> dict[str, str]:

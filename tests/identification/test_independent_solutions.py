@@ -86,7 +86,7 @@ def test_irls_is_the_fixed_point_of_least_squares_with_the_residuals_covariance(
     W, b = dense(problem)
     felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
     W, b = W[:, felt], b[:, felt]
-    freedom = np.array([len(b) - len(f.columns) for f in problem.factors])[felt]
+    freedom = len(b) - np.array([np.linalg.matrix_rank(W[:, j]) for j in range(W.shape[1])])
     beta = beta_of(WLS().solve(problem))
     for _ in range(60):
         rest = b - W @ beta
@@ -153,13 +153,15 @@ SIZE = (7500, 6, 60)
 
 @pytest.mark.long
 @pytest.mark.parametrize("make", [Huber, Tukey, IRLS, ArGls])
-def test_a_second_of_one_core_is_enough_for_many_rows(make: Callable[[], Any]) -> None:
+def test_many_rows_take_a_few_factorisations_of_time(make: Callable[[], Any]) -> None:
     rng = np.random.default_rng(0)
     W = rng.normal(size=SIZE)
     problem = problem_of(W, W @ rng.normal(size=60) + 0.1 * rng.standard_t(4, size=SIZE[:2]))
     start = time.process_time()
+    np.linalg.qr(W.reshape(-1, SIZE[2]), mode="r")
+    one = time.process_time()
     estimate = make().solve(problem)
-    assert time.process_time() - start < 1.0
+    assert time.process_time() - one < 20 * (one - start)  # measured: 2 to 3
     assert estimate.converged
 
 
