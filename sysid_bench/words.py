@@ -93,6 +93,9 @@ FRAME_DEPENDENT: Final = "frame_dependent"
 """Attribute of a method, and field of its rows, with the reason for which its answer depends on the
 frames of the links: rankings leave it out."""
 
+BASELINE_LABELS: Final = ("null model", "floor")
+"""Labels of baselines in the place of an estimator, which no estimator may have."""
+
 UNKNOWN: Final = "unknown"
 """Friction of which a prior knows the order of magnitude alone."""
 

@@ -225,6 +225,7 @@ def test_check_plugin_finds_a_wrong_estimator(factor: float, code: int, tmp_path
     assert result.exit_code == code, result.output
     assert ("recovers exact parameters" in result.output) == bool(code)
     assert ("keeps its laws" in result.output) == (not code)
+    assert "not checked" not in result.output  # it has `solve`
 
 
 def test_failed_checks_have_todays_keys_and_those_of_earlier_versions(tmp_path: Any) -> None:
@@ -257,6 +258,8 @@ def test_check_plugin_runs_methods_that_simulate(name: str) -> None:
     answer = check_plugin(name)
     assert answer["ok"], answer["broken"]
     assert answer["checks"] > 10
+    # None of them has `solve`.
+    assert "not checked: whether its answer depends on the frames" in answer.summary()
 
 
 def test_engines_agree_on_a_model_and_a_broken_one_is_named(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from sysid_bench.commands.request import FAILED, OK, Request, argument, option, python_function
 from sysid_bench.commands.result import Result
 from sysid_bench.errors import count_text
+from sysid_bench.words import FRAME_DEPENDENT
 
 if TYPE_CHECKING:
     from sysid_bench.apps.conformance.findings import Finding
@@ -48,6 +49,7 @@ class CheckPlugin(Request["CheckPluginResult"]):
             checks=len(findings),
             bias=getattr(plugin, "bias", ""),
             broken=[_failed_check(finding) for finding in findings if not finding.passed],
+            unchecked=_unchecked(plugin, self.kind),
         )
 
     def exit_code(self, result: "CheckPluginResult") -> int:
@@ -63,8 +65,8 @@ check_plugin = python_function(CheckPlugin, "check_plugin")
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckPluginResult(Result):
     """Verdict on a plug-in; `bias`: the declared bias of an estimator; `broken`: failed checks as
-    {law, case, message}. The keys `estimator` (for `plugin`), `world` (`case`) and `said`
-    (`message`) are those of earlier versions."""
+    {law, case, message}; `unchecked`: what could not be checked of it. The keys `estimator` (for
+    `plugin`), `world` (`case`) and `said` (`message`) are those of earlier versions."""
 
     plugin: str
     estimator: str
@@ -72,15 +74,18 @@ class CheckPluginResult(Result):
     checks: int
     bias: str
     broken: list[dict[str, str]]
+    unchecked: str
 
     def summary(self) -> str:
         """Verdict, then one line for each failed check."""
         if not self.ok:
             lines = [f"{self.plugin}: {len(self.broken)} of {self.checks} checks fail"]
             lines += [f"  {b['law']} ({b['case']}): {b['message']}" for b in self.broken]
-            return "\n".join(lines)
-        bias = f"\n  biased by design: {self.bias}" if self.bias else ""
-        return f"{self.plugin}: keeps its laws ({count_text(self.checks, 'check')}){bias}"
+        else:
+            lines = [f"{self.plugin}: keeps its laws ({count_text(self.checks, 'check')})"]
+            lines += [f"  biased by design: {self.bias}"] if self.bias else []
+        lines += [f"  not checked: {self.unchecked}"] if self.unchecked else []
+        return "\n".join(lines)
 
 
 def build_plugin(name: str | Mapping[str, Any], kind: str) -> Any:
@@ -105,6 +110,17 @@ def plugin_findings(
     if check_kind(kind) == EXECUTOR:
         return check_executor(plugin)
     return check_plugin_of(kind, plugin, robots_dir, file)
+
+
+def _unchecked(plugin: Any, kind: str) -> str:
+    """What no check of an estimator has measured; empty where all were."""
+    if kind != "estimator" or hasattr(plugin, "solve") or getattr(plugin, FRAME_DEPENDENT, False):
+        return ""
+    # Other frames would change the model that `simulate` runs, which `fit` cannot be given.
+    return (
+        "whether its answer depends on the frames of the links, which needs `solve`; one that does "
+        "declares `frame_dependent`"
+    )
 
 
 def _failed_check(finding: "Finding") -> dict[str, str]:

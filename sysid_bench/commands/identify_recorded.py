@@ -122,6 +122,21 @@ class RecordedResult(IdentifyResult):
         writes = find_task(self.task).writes_model and self.model_out is None
         return "--model-out arm.urdf (or .xml) writes the model" if writes else ""
 
+    def _judged_on(self) -> str:
+        again = sum(errors is not None for errors in self.replayed.values())
+        if again == 0:
+            return super()._judged_on()
+        if again < len(self.replayed):
+            return (
+                f"the tests, of which {again} of {len(self.replayed)} repeat the training motion,"
+            )
+        used: dict[str, set[Any]] = {"train": set(), "test": set()}
+        for log in self.logs:
+            used[log["use"]].add((log["log"], tuple(log["rows"] or ())))
+        if used["test"] <= used["train"]:
+            return "the training itself, since --test is the same recording as --log,"
+        return "the training motion, which --test repeats, not of other motions,"
+
     def _error_lines(self) -> Iterator[str]:
         """A line for each joint, with its error on the first test, and one for each other test."""
         test = next(iter(self.tests.values()), None)

@@ -173,7 +173,11 @@ class IdentifyResult(Result):
         known |= {"the training torque, played again": self.scores.get("torque_error_floor")}
         known |= {"the model fitted to these motions": self.scores.get("torque_error_best")}
         texts = [f"{words} {100 * e:.3g} %" for words, e in known.items() if e is not None]
-        return f"Torques of other motions err by {100 * error:.3g} % ({', '.join(texts)})"
+        return f"Torques of {self._judged_on()} err by {100 * error:.3g} % ({', '.join(texts)})"
+
+    def _judged_on(self) -> str:
+        """Words for the motions of the test."""
+        return "other motions"
 
     def _closing_lines(self) -> list[str]:
         """The other warnings, and files."""

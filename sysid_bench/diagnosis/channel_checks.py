@@ -24,7 +24,7 @@ ADVICE: Final = {
     "held": "correct rate to that of the data, or record faster",
     "lost": "give time = the column of stamps",
     "non-finite": "rows = [first, last] without the damaged part",
-    "time": "rows = [first, last] within one run of the clock",
+    "time": "correct the column or the unit of time, or state rate in its place",
     "delay": "state tau.pd.delay",
     "limits": "correct q.offset, or the limits of the model",
 }
@@ -81,7 +81,7 @@ def recorded_findings(evidence: DiagnoseInput) -> Iterator[Finding]:
     invalid samples, limits."""
     for one in evidence.log.findings:
         few = one.name in ("limits", "held") or one.count <= MANY * evidence.log.samples
-        edit = ADVICE.get(one.name, "")
+        edit = one.edit or ADVICE.get(one.name, "")
         if one.name == "lost" and evidence.log.description.time is not None:
             edit = "record at a rate that the recorder keeps; few lost samples do little harm"
         # Units are wrong in all samples: few beyond a limit are spikes, or a limit that is too low.

@@ -12,14 +12,14 @@ from typing import IO, Any
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell, fields
-from sysid_bench.harness.power import claim_power, ranking_power
+from sysid_bench.harness.power import claim_power, not_ranked, ranking_power
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, default_names
 from sysid_bench.harness.suite_cells import check_size, is_random, suite_cells
 from sysid_bench.models.model_record import ModelRecord
 from sysid_bench.types import Row
-from sysid_bench.words import CELL_FIELDS
+from sysid_bench.words import BASELINE_LABELS, CELL_FIELDS
 
 _ID = b'{"id": "'
 _KIND = len(_ID + b'123456789abc", "experiment": "123456789abc", ')
@@ -85,13 +85,15 @@ class Plan:
 def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = False) -> Plan:
     """Return all cells of a suite, without those of an [[exclude]] and without duplicates.
 
-    Raises UsageError for more than MANY cells, unless `large`, and for a ranking with an unknown
-    reference or member of its family, before all is computed.
+    Raises UsageError for more than MANY cells, unless `large`, for an estimator with the label of a
+    baseline, and for a ranking with an unknown reference or member of its family, before all is
+    computed.
     """
     if not large:
         check_size(suite)
     names = names or default_names()
     cells = suite_cells(suite, names)
+    _check_labels(cells)
     _check_rankings(suite, cells)
     rules = [(Expression.parse(rule.when), rule.reason) for rule in suite.exclude]
     kept, excluded = [], {reason: 0 for _, reason in rules}
@@ -119,14 +121,34 @@ def _models(suite: Suite, names: Names, cells: Iterable[Cell]) -> dict[str, Mode
     return {label: record for label, record in found.items() if record is not None}
 
 
+def _check_labels(cells: Iterable[Cell]) -> None:
+    """Raise UsageError for an estimator whose label is that of a baseline."""
+    for label in {cell.labels["estimator"]: None for cell in cells}:
+        # Readers do not see case and spaces either.
+        if " ".join(label.split()).casefold() in BASELINE_LABELS:
+            raise UsageError(
+                f"The estimator {label!r} has the label of a baseline ({', '.join(BASELINE_LABELS)}"
+                "), which tables and rankings print beside methods; give it another `label`."
+            )
+
+
 def _check_rankings(suite: Suite, cells: Iterable[Cell]) -> None:
-    """Raise UsageError for a ranking with an unknown reference or member of its family."""
+    """Raise UsageError for a ranking with an unknown reference or member of its family, and for a
+    family of methods that are not ranked."""
+    cells = tuple(cells)
     methods = sorted({cell.labels["estimator"] for cell in cells})
+    unranked = not_ranked(cells)
     for entry in suite.ranking:
         for method in (entry.against, *entry.family):
             if method not in methods:
                 where = f"The ranking {entry.name!r} names it as its reference or in its family."
                 raise unknown_name("estimator of this suite", method, methods, where)
+        if entry.family and unranked.issuperset(entry.family):
+            raise UsageError(
+                f"The family of the ranking {entry.name!r} has no method with a verdict: "
+                f"{', '.join(entry.family)} declare that they depend on the frames of the links, "
+                "and are not ranked. Name another method, or leave out 'family'."
+            )
 
 
 def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterator[str]:

@@ -13,6 +13,8 @@ from sysid_bench.evaluation.robot_statistic import (
 from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
+from sysid_bench.plugin_names import BUILTIN, resolve
+from sysid_bench.words import FRAME_DEPENDENT
 
 
 def _selected(cells: Iterable[Cell], condition: str | None) -> list[Cell]:
@@ -27,18 +29,31 @@ def _selected(cells: Iterable[Cell], condition: str | None) -> list[Cell]:
     return met if expression.fields <= known else [cell for cell, _ in flat]
 
 
+def not_ranked(cells: Iterable[Cell]) -> set[str]:
+    """Labels of the built-in methods that rankings leave out, since they depend on the frames of
+    the links; plug-ins are asked in the run alone."""
+    uses = {cell.labels["estimator"]: str(cell.estimator["use"]) for cell in cells}
+    return {
+        label
+        for label, use in uses.items()
+        if use in BUILTIN["estimator"]
+        and getattr(resolve("estimator", use), FRAME_DEPENDENT, False)
+    }
+
+
 def ranking_power(suite: Suite, cells: Sequence[Cell]) -> Iterator[str]:
     """Yield how many robots the verdicts of the rankings need, corrected together, and the rankings
     that have fewer."""
     cells = [cell for cell in cells if cell.spec.repeat == 0]
-    verdicts, robots = 0, dict[str, int]()
+    verdicts, robots, unranked = 0, dict[str, int](), not_ranked(cells)
     for entry in suite.ranking:
         groups: dict[tuple[str, ...], list[Cell]] = {}
         for cell in _selected(cells, entry.select):
             groups.setdefault(tuple(cell.labels[one] for one in entry.apart), []).append(cell)
         for key, group in groups.items():
             methods = {cell.labels["estimator"] for cell in group}
-            verdicts += len(methods.intersection(entry.family or methods) - {entry.against})
+            methods &= set(entry.family or methods)
+            verdicts += len(methods - unranked - {entry.against})
             robots["-".join((entry.name, *key))] = len({cell.labels["robot"] for cell in group})
     if not verdicts:
         return

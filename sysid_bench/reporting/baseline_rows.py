@@ -5,14 +5,16 @@ from typing import Final
 
 import pandas as pd
 
-from sysid_bench.words import LABELS
+from sysid_bench.words import BASELINE_LABELS, LABELS
 
 ERROR: Final = "torque_error"
 """The metric that baselines have."""
 
+_NULL, _FLOOR = BASELINE_LABELS
+
 BASELINES: Final[Mapping[str, tuple[str, ...]]] = {
-    "null model": ("torque_error_null",),
-    "floor": ("torque_error_floor", "torque_error_best"),
+    _NULL: ("torque_error_null",),
+    _FLOOR: ("torque_error_floor", "torque_error_best"),
 }
 """Label in the place of an estimator -> fields of the rows of an experiment, the lowest counts."""
 
@@ -33,7 +35,7 @@ _SHARED: Final = {*LABELS, "repeat", "experiment"}
 def with_baselines(cells: pd.DataFrame) -> pd.DataFrame:
     """The cells, and rows of the baselines of each of their experiments with a label in the place
     of the estimator; none where rows do not name a null model."""
-    (null,) = BASELINES["null model"]
+    (null,) = BASELINES[_NULL]
     if not {null, "experiment"} <= {*cells.columns}:
         return cells
     # Estimators of one experiment share its baselines.

@@ -378,8 +378,10 @@ def rank_cells(
         left_out = dict(zip(reasons["estimator"].map(label), reasons[FRAME_DEPENDENT], strict=True))
         left_out.pop(against, None)
         kept = kept[~kept["estimator"].map(label).isin(left_out)]
-        family = [name for name in spec.get("family", ()) if name not in left_out]
-        spec = {**spec, "family": family}
+        if spec.get("family"):
+            spec = {**spec, "family": [one for one in spec["family"] if one not in left_out]}
+            # The others are no family that was declared: none of them has a verdict.
+            spec["family"] = spec["family"] or [against]
     if metric.name == ERROR:
         kept = with_baselines(kept)
     groups = kept.groupby(apart, sort=False) if apart else [((), kept)]

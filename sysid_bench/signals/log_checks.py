@@ -64,12 +64,14 @@ FASTEST: Final = {"hinge": 50.0, "slide": 20.0}
 
 @dataclass(frozen=True)
 class Finding:
-    """Observation made `count` times in a recording; `name` is one of FINDINGS."""
+    """Observation made `count` times in a recording; `name` is one of FINDINGS, `edit` the change
+    of the description where the numbers tell it."""
 
     name: str
     count: int
     text: str
     contradiction: bool = False
+    edit: str = ""
 
 
 def check_findings(findings: Sequence[Finding], accepted: Sequence[str], where: str) -> None:
@@ -201,8 +203,8 @@ def check_rates(
         common = 1.0
     if abs(common - 1) > _RATE_ERROR:
         text = (
-            f"a rate of {rate:.6g} Hz is declared, but v and the differences of q agree at "
-            f"{rate / common:.4g} Hz"
+            f"v and the differences of q agree at {rate / common:.4g} Hz, not at the rate of "
+            f"{rate:.6g} Hz"
         )
         # The ratio of rad to deg.
         if abs(common * 180 / np.pi - 1) < _RATE_ERROR:

@@ -40,6 +40,13 @@ SHORTEST: Final = 20
 _WIDEST: Final = 3.0
 """Ratio of a recording's length to its samples beyond which it is more gap than recording."""
 
+_REGULAR: Final = 0.9
+"""Share of the steps, and of the runs of equal stamps, that are alike where stamps are rounded: a
+clock that now and then stands still jumps afterwards."""
+
+_RESETS: Final = 3
+"""Falling stamps up to which each is a clock that was set back; more are rows out of order."""
+
 
 def time_base(
     log: LogDescription, stamps: Array | None, invalid: Array
@@ -52,8 +59,10 @@ def time_base(
     if stamps is None:
         assert log.rate is not None
         return np.arange(len(invalid)) / log.rate, log.rate, []
-    t, found = check_times(np.where(invalid, np.nan, stamps))
-    steps, N = np.diff(t[np.isfinite(t)]), len(t)
+    before = 0 if log.rows is None else log.rows[0] - 1
+    t, found = check_times(np.where(invalid, np.nan, stamps), before)
+    kept, N = t[np.isfinite(t)], len(t)
+    steps = np.diff(kept)
     if len(steps) < SHORTEST:
         falling = int((np.diff(stamps[np.isfinite(stamps)]) < 0).sum())
         cure = "is this the time column?"
@@ -66,8 +75,9 @@ def time_base(
             f"{log.source}: the time stamps step by {step:.4g} s, which no recorder does; write "
             "the unit of time, as time = { column = ..., unit = 's' }."
         )
-    # Longer steps have room for samples.
-    lost = int(np.maximum(np.round(steps / step) - 1, 0).sum())
+    # Longer steps have room for samples, less the rows in them whose stamps are left out.
+    there, _ = np.histogram(stamps[np.isfinite(stamps) & ~np.isin(stamps, kept)], kept)
+    lost = int(np.maximum(np.round(steps / step) - 1 - there, 0).sum())
     if lost:
         longest = f"the longest gap is {steps.max():.4g} s"
         text = f"samples missing between the time stamps: {lost}; {longest}"
@@ -102,8 +112,9 @@ def _grid_rate(log: LogDescription, step: float, N: int) -> tuple[float, list[Fi
     return 1.0 / step, [Finding("rate", N, text, contradiction=True)]
 
 
-def check_times(t: Array) -> tuple[Array, list[Finding]]:
-    """Return stamps (N,) that increase, NaN for the others, and findings of those left out.
+def check_times(t: Array, before: int = 0) -> tuple[Array, list[Finding]]:
+    """Return stamps (N,) that increase, NaN for the others, and findings of those left out, in the
+    row after `before` of the file and those behind it.
 
     A stamp far from the line of its neighbours is left out first, so that it costs one row; of the
     rest, the longest series that increases is kept.
@@ -115,12 +126,53 @@ def check_times(t: Array) -> tuple[Array, list[Finding]]:
     if count := int(wild.sum()):
         text = f"{count} time stamps leave the line of their neighbours"
         found.append(Finding("time", count, text, count > limit))
-    if repeated:
-        found.append(Finding("time", repeated, f"{repeated} time stamps are repeated"))
+    if repeated > limit and (rounded := _rounded(t, repeated)) is not None:
+        found.append(rounded)
+    elif repeated:
+        edit = "rate = that of the recorder, in place of time"
+        text = f"{repeated} time stamps are repeated"
+        found.append(Finding("time", repeated, text, edit=edit))
     if backwards:
         text = f"{backwards} time stamps run backwards"
-        found.append(Finding("time", backwards, text, backwards > limit))
+        edit = _edit_of_falls(t, before)
+        found.append(Finding("time", backwards, text, backwards > limit, edit))
     return kept, found
+
+
+def _rounded(t: Array, repeated: int) -> Finding | None:
+    """Return the contradiction of stamps (N,) that repeat in runs of one length, each a step after
+    the run before: rounded ones; None for others."""
+    stamps = t[np.isfinite(t)]
+    starts = np.flatnonzero(np.diff(stamps, prepend=-np.inf))
+    # The first and the last run may be cut.
+    runs, steps = np.diff(starts)[1:], np.diff(stamps[starts])
+    if len(runs) < SHORTEST:
+        return None
+    step = float(np.median(steps))
+    # Evenly spaced samples fall into runs that differ by one, and leave no cell of rounding empty.
+    alike = np.abs(runs - np.mean(runs)) <= 1, np.abs(steps - step) < 0.01 * abs(step)
+    if step <= 0 or min(one.mean() for one in alike) < _REGULAR:
+        return None
+    rate = float(np.mean(runs)) / step
+    text = (
+        f"time stamps are rounded to {step:.4g} s: {repeated} of {len(t)} repeat the one before, "
+        f"and their samples would be lost; write rate = '{rate:.4g} Hz' in place of time, or "
+        "record finer stamps"
+    )
+    edit = f"rate = '{rate:.4g} Hz' in place of time, or finer stamps"
+    return Finding("time", repeated, text, contradiction=True, edit=edit)
+
+
+def _edit_of_falls(t: Array, before: int) -> str:
+    """Return what to do about stamps (N,) that fall: the longest part between those of a clock that
+    was set back, by its rows in the file."""
+    rows = np.flatnonzero(np.isfinite(t))
+    falls = np.flatnonzero(np.diff(t[rows]) < 0)
+    if len(falls) > _RESETS:
+        return "sort the rows of the file by time, or state rate in place of time"
+    parts = np.split(rows, falls + 1)
+    longest = max(parts, key=len)
+    return f"rows = [{before + longest[0] + 1}, {before + longest[-1] + 1}], the longest run"
 
 
 def _wild(t: Array) -> Array:

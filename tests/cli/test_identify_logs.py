@@ -76,6 +76,11 @@ def test_joints_that_no_log_lists_are_locked(folder: Path, tmp_path: Path) -> No
     assert result["locked"] == held
     assert result["rmse_test"] < 1e-2 * max(t["rms"] for t in result["training"].values())
     assert "repeats the training motion" in " ".join(result["warnings"])
+    assert "of the training itself, since --test is the same recording" in result.summary()
+    assert "Torques of other motions" not in result.summary()
+    again = write(tmp_path, recorded(part, 3), name="again", locked=held)
+    played = identify("ur5", log=[path], test=[again], **CLEAN).summary()
+    assert "of the training motion, which --test repeats" in played
     wrong = write(tmp_path, recorded(part, 3), name="wrong", locked={"elbow_joint": 0.1})
     with pytest.raises(UsageError, match="shoulder_pan_joint"):
         identify("ur5", log=[wrong])

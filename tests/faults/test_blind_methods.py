@@ -5,12 +5,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.harness.work import blind_process
 from sysid_bench.harness.work.confinement import ISOLATION
+from sysid_bench.reporting.ranking import rank_cells
 from sysid_bench.words import MACHINE_FIELDS
 
 from .runners import suite_of
@@ -87,3 +89,23 @@ def test_what_a_method_returns_beside_its_estimate_has_a_limit(
     ((message),) = blind_process._messages(io.BytesIO(b"{" + b" " * 2000))
     assert "more than 0 MB" in message["error"][1]
     assert "'stats'" in message["error"][1]
+
+
+def test_a_method_that_declares_link_frames_is_not_ranked(tmp_path: Path) -> None:
+    """What it says of itself reaches its rows: a text, cut, or the bare fact; nothing else does."""
+    given = {"text": '"it favours  an axis"', "true": "true", "long": '"' + 999 * "x" + '"'}
+    given |= {"number": "7"}
+    turned = f"file:{HERE}/every_method.py:Turned"
+    keys = [f'use = "{turned}"\nlabel = "{k}"\ndeclared = {v}' for k, v in given.items()]
+    text = suite_of(['use = "ols"', *keys])
+    rows = run(parse_suite(text, folder=HERE), tmp_path, jobs=1).folder.rows().rows.values()
+    assert {row["status"] for row in rows} == {"ok"}
+    declared = {row["estimator"]: row.get("frame_dependent") for row in rows}
+    assert declared == {
+        "ols": None, "number": None, "text": "it favours an axis",
+        "true": "its answer depends on the frames of the links", "long": 200 * "x",
+    }  # fmt: skip
+    spec = {"name": "r", "metric": "torque_error", "against": "ols"}
+    [ranking] = rank_cells(pd.DataFrame(list(rows)), spec)
+    assert {*ranking.method_names} == {"ols", "number"}
+    assert {*ranking.left_out} == {"text", "true", "long"}

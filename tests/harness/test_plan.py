@@ -314,6 +314,34 @@ def test_a_ranking_against_a_method_that_is_not_there_is_found_before_the_run() 
         plan_of(text.format("nobody"))
 
 
+@pytest.mark.parametrize("label", ["floor", "null model", "Null  Model"])
+def test_an_estimator_has_not_the_label_of_a_baseline(label: str) -> None:
+    """Tables and rankings would print it as one."""
+    text = f'{small()}\n[[estimator]]\nuse = "wls"\nlabel = "{{}}"\n'
+    assert plan_of(text.format(f"{label} 2")).cells
+    with pytest.raises(UsageError, match="label of a baseline"):
+        plan_of(text.format(label))
+
+
+def test_methods_that_depend_on_link_frames_have_no_verdict_in_a_plan() -> None:
+    """As in the tables of the run; a reference keeps its place."""
+    names = replace(NAMES, plugin=lambda kind, spec: None)
+    methods = "".join(f'[[estimator]]\nuse = "{name}"\n' for name in ("lmi", "tls", "essential"))
+    entry = f'{methods}[[ranking]]\nname = "r"\nagainst = "{{}}"\n{{}}\n'
+
+    def notes(against: str, family: str = "") -> str:
+        suite = parse_suite(small() + entry.format(against, family), names=names)
+        return "\n".join(cells_of_suite(suite, names).notes)
+
+    count = len({cell.labels["estimator"] for cell in plan_of(small()).cells})
+    for against in ("lmi", "tls"):
+        verdicts = count + (against != "lmi")
+        assert f"{verdicts} verdict" in notes(against)
+    assert "1 verdict," in notes("ols", 'family = ["tls", "lmi"]')
+    with pytest.raises(UsageError, match="'r' has no method with a verdict: tls, essential"):
+        notes("lmi", 'family = ["tls", "essential"]')
+
+
 def test_torques_are_shown_along_a_log() -> None:
     with pytest.raises(UsageError, match=r"no \[\[log\]\]"):
         read(small() + '\n[[paper]]\nname = "torques"\nshow = "torques"\n')

@@ -411,6 +411,9 @@ def test_a_method_that_depends_on_link_frames_is_not_ranked() -> None:
     assert f"Not ranked: poor: {reason}." in verdict_table(ranking).notes
     table = {"name": "t", "rows": ["estimator"], "metrics": ["torque_error"]}
     assert any("poor" in note for note in build_table(cells, table).notes)
+    # A family of such methods alone is not that of all others.
+    [ranking] = ranked(cells, family=["poor"])
+    assert ranking.verdicts == 0
     # The reference stays, since all ratios refer to it.
     [ranking] = ranked(cells, against="poor")
     assert "poor" in ranking.method_names

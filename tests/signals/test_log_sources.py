@@ -143,6 +143,43 @@ def test_corrupt_first_rows_cost_themselves(world: World, log: Recorded) -> None
     assert len(got.recording.t) >= len(log.t) - 12
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_rounded_stamps_are_refused_with_the_rate(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rate, step = rng.uniform(50, 500), rng.choice([0.1, 0.05])
+    t = (np.arange(3000) + rng.normal(scale=0.05, size=3000)) / rate + 7.0
+    _, (finding,) = check_times(np.round(t / step) * step)
+    assert finding.contradiction
+    assert f"rounded to {step:g} s" in finding.text
+    told = float(finding.edit.split("'")[1].removesuffix(" Hz"))
+    assert told == pytest.approx(rate, rel=0.01)
+    # A clock that now and then stands still is none of these.
+    still = np.sort(t)
+    at = np.sort(rng.choice(np.arange(1, 3000), 900, replace=False))
+    for row in at:
+        still[row] = still[row - 1]
+    assert not any("rounded" in one.text for one in check_times(still)[1])
+
+
+def test_a_clock_that_was_set_back_gives_rows_and_exchanged_rows_lose_none(
+    world: World, log: Recorded
+) -> None:
+    t, N = log.t.copy(), len(log.t)
+    at = 2 * N // 3
+    t[at:] -= t[at] - t[0]
+    _, (finding,) = check_times(t)
+    assert finding.edit.startswith(f"rows = [1, {at}]")
+    assert check_times(t[5:], before=5)[1][0].edit.startswith(f"rows = [6, {at}]")
+    order = np.arange(N)
+    for row in range(10, N - 10, N // 40):
+        order[[row, row + 1]] = order[[row + 1, row]]
+    exchanged = replace(log, t=log.t[order], q=log.q[order], v=log.v[order], tau=log.tau[order])
+    got = world.read(exchanged, time=1, rate=None)
+    assert "lost" not in found(got)
+    assert found(got)["time"] >= 38
+    assert "sort the rows" in next(one.edit for one in got.findings if one.name == "time")
+
+
 def test_stamps_in_milliseconds_are_named(world: World, log: Recorded) -> None:
     got = world.read(replace(log, t=log.t * 1e3), time=1, rate=None)
     assert "step by 5 s" in refused(got, ("rate", "units", "velocity"))

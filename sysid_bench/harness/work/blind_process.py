@@ -42,7 +42,7 @@ from sysid_bench.harness.work.process_tree import (
 )
 from sysid_bench.harness.work.run_process import end_of_process
 from sysid_bench.types import Estimate, Experiment, Problem
-from sysid_bench.words import NAMESPACES, PROCESS, STATUSES
+from sysid_bench.words import FRAME_DEPENDENT, NAMESPACES, PROCESS, STATUSES
 
 try:
     import resource
@@ -50,6 +50,7 @@ except ImportError:  # Windows
     resource = None  # type: ignore[assignment]
 
 _LONGEST: Final = 1 << 26
+_LONGEST_REASON: Final = 200
 _MESSAGES: Final = 2
 _POLL_SECONDS: Final = 0.1
 _READ_SECONDS, _READ_BYTES = 0.1, 5e7
@@ -67,7 +68,8 @@ SEALED_NEEDS: Final = (
 class BlindMethod:
     """Estimator whose `solve` and `fit`, where the method has them, run in its process.
 
-    `isolation` is that of its process; `sources` are the third-party files that it had loaded.
+    `isolation` is that of its process; `sources` are the third-party files that it had loaded;
+    `frame_dependent` is what it declares.
     """
 
     def __init__(self, process: "subprocess.Popen[bytes]", simulated: bool) -> None:
@@ -75,6 +77,7 @@ class BlindMethod:
         self.isolation = PROCESS
         self.sources: dict[str, str] = {}
         self.calls: tuple[str, ...] = ()
+        self.frame_dependent = ""
         self._process, self._simulated = process, simulated
         # Few wait at a time: what a method writes without end must not fill this process.
         self._inbox: queue.Queue[dict[str, Any] | None] = queue.Queue(_MESSAGES)
@@ -100,8 +103,13 @@ class BlindMethod:
         inner = child_of(child_of(self._process.pid)) if confined else self._process.pid
         self._pid = inner or self._process.pid
         # The method's code has run: what comes may be its own.
-        calls = self._next("calls")["calls"]
-        self.calls = tuple(name for name in ("solve", "fit") if name in str(calls))
+        built = self._next("calls")
+        self.calls = tuple(name for name in ("solve", "fit") if name in str(built["calls"]))
+        match built.get(FRAME_DEPENDENT):
+            case str(reason):
+                self.frame_dependent = " ".join(reason.split())[:_LONGEST_REASON]
+            case True:
+                self.frame_dependent = "its answer depends on the frames of the links"
 
     def used_seconds(self) -> tuple[float, float]:
         """Seconds and CPU seconds of all calls."""

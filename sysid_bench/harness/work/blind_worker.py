@@ -2,9 +2,9 @@
 
 In: a line {folder, hidden, memory, isolation, sealed, path, estimator}, then for each call a line
 {call, bytes}, the data of the method (`method_data`) and, once it has answered {ready}, an empty
-line. Out, as JSON lines: {isolation}; {calls} of the method; for each call {ready}, then
-{estimate, modules} or {error: [status, reason, traceback], modules}. It started fresh and never
-held the truth.
+line. Out, as JSON lines: {isolation}; {calls, frame_dependent} of the method; for each call
+{ready}, then {estimate, modules} or {error: [status, reason, traceback], modules}. It started fresh
+and never held the truth.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ def main() -> None:
 
     # Before the libraries are loaded, which takes memory, and threads, which no fork has.
     from sysid_bench.harness.work.confinement import confine
-    from sysid_bench.words import PROCESS
+    from sysid_bench.words import FRAME_DEPENDENT, PROCESS
 
     isolation = confine(head["folder"], head["hidden"], head["isolation"], private=True)
     if sys.platform != "linux":
@@ -55,10 +55,12 @@ def main() -> None:
 
         method = build("estimator", head["estimator"])
         calls = [name for name in ("solve", "fit") if hasattr(method, name)]
+        declared = getattr(method, FRAME_DEPENDENT, "")
+        declared = declared if isinstance(declared, (bool, str)) else ""
     except BaseException as error:  # sys.exit() of a plug-in as well
         _answer(answers, {"error": _error(error)})
         return
-    _answer(answers, {"calls": calls})
+    _answer(answers, {"calls": calls, FRAME_DEPENDENT: declared})
     while line := requests.readline():
         _serve(json.loads(line), method, requests, answers)
 
