@@ -12,7 +12,7 @@ import pytest
 
 from reports.make.kept_rows import designs, differing, spread_of
 from reports.make.page_numbers import PART
-from reports.make.reference_check import TYPED
+from reports.make.reference_check import NOT_AGAIN, TYPED
 from reports.make.reference_reports import (
     PAGES,
     ROWS,
@@ -34,6 +34,7 @@ NOT_MADE_AGAIN: dict[str, str] = {
     "claims": "an hour of two cores",
     "coverage-closed-loop": "hours of two cores",
     "excitations": "hours of one core",
+    "methods": "hours of two cores",
     "peers": "half an hour of two cores",
     "pipelines": "the part of sub-steps: hours",
     "real": "ten minutes of two cores; recorded robots",
@@ -83,7 +84,10 @@ def digits(value: float) -> set[str]:
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_the_suite_of_a_report_still_plans_its_cells(file: Path) -> None:
     row = kept(file)
-    assert RunCommand.parse(row["command"]).planned() == row["planned"], "make the report again"
+    page = (PAGES / row["page"]).read_text(encoding="utf-8")
+    (part,) = (text for command, text in PART.findall(page) if command == row["command"])
+    if NOT_AGAIN not in part:
+        assert RunCommand.parse(row["command"]).planned() == row["planned"], "make the report again"
 
 
 def runs_of(page: Path) -> list[RunCommand]:

@@ -212,7 +212,7 @@ def test_rows_and_columns_stand_in_the_order_of_the_cells(cells: pd.DataFrame) -
 def test_a_table_says_over_what_it_pools(cells: pd.DataFrame) -> None:
     pooled = table_of(cells, ["robot"], ["estimator"])
     assert "noise (2)" in pooled.notes[0]
-    assert "3 of payload" in pooled.notes[0]
+    assert "payload (3)" in pooled.notes[0]
     assert table_of(cells, ["robot", "payload"], ["noise", "estimator"]).notes == ()
 
 
@@ -227,7 +227,7 @@ def test_what_plants_bring_along_is_not_pooled_beside_them(cells: pd.DataFrame) 
     assert "simulation" not in over_levels
     crossed = pd.concat([levels, levels.assign(simulation="other")])
     (note,) = table_of(crossed, ["robot", "payload"], ["plant", "noise"]).notes
-    assert "2 of simulation" in note
+    assert "simulation (2)" in note
 
 
 def test_a_selection_is_a_table_of_the_chosen_cells(
