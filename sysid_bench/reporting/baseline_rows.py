@@ -43,7 +43,9 @@ def with_baselines(cells: pd.DataFrame) -> pd.DataFrame:
     shared = first[[name for name in first.columns if name in _SHARED]].assign(status="ok")
     parts = [cells]
     for label, fields in BASELINES.items():
-        errors = first[[name for name in fields if name in first]].astype(float).min(axis=1)
-        if (known := errors > ROUNDING).any():
-            parts.append(shared.assign(estimator=label, **{ERROR: errors})[known])
+        known = first[[name for name in fields if name in first]]
+        # Absent values of a column of texts are the text "none".
+        errors = known.apply(pd.to_numeric, errors="coerce").min(axis=1)
+        if (is_there := errors > ROUNDING).any():
+            parts.append(shared.assign(estimator=label, **{ERROR: errors})[is_there])
     return pd.concat(parts, ignore_index=True) if len(parts) > 1 else cells
