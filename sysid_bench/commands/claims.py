@@ -31,9 +31,11 @@ _NOTES: Final = (
     "Holds, fails: the whole interval lies on one side of the threshold, and so does that at the "
     "level that the correction asks for. Open: it straddles it, or there is none (fewer than six "
     "robots, or what the claim counts in their place). p: the smallest 1 - level at which the "
-    "interval decides; corrected over all verdicts of this table (Benjamini and Hochberg 1995), so "
-    "that of those decided at most one in twenty is false in the mean. Can hold with: the fewest "
-    "units that can show it, all agreeing. Exact: a statement of algebra, of every cell.",
+    "interval decides; corrected over all verdicts of this table that have one (Benjamini and "
+    "Hochberg 1995), so that of those decided at most one in twenty is false in the mean. Ranks, "
+    "coverages and left-out have none: an interval of the bootstrap decides, uncorrected. Can hold "
+    "with: the fewest units that can show it, all agreeing, beside others that are decided as "
+    "clearly: the correction may ask for more. Exact: a statement of algebra, of every cell.",
     "Ratio: exp of the median over robots of the mean log ratio of their cells; a cell without an "
     "answer (lost) counts as one of the reference. Coverage and share: mean over robots. "
     "Intervals: order statistics of medians and ratios; of ranks and coverages percentile "

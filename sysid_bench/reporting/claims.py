@@ -52,6 +52,10 @@ CONTENT: Final = "robot_content"
 LEFT_OUT_SHARE: Final = 0.9
 """Probability that a range between units holds a new one."""
 
+BOOTSTRAPPED: Final = ("rank", "coverage", LEFT_OUT)
+"""Statistics whose interval is of robots drawn again: its ends far out in the tails, from few
+robots and draws, are not a p-value, and none is corrected."""
+
 _CASE: Final = (RUN, *LABELS, "repeat", JOINT, STD_FROM)
 _ALONG: Final[Mapping[str, tuple[str, ...]]] = {
     "pipeline": ("signals",),
@@ -231,13 +235,13 @@ class ClaimFinding:
     sentence: str | None
     protocol: str | None
     needed: int | None  # units with which it can hold; None: no number
-    p: float | None = None  # None: exact, or without an interval at any level
+    p: float | None = None  # None: exact, without an interval, or with one of the bootstrap
     p_corrected: float | None = None  # over all verdicts that are printed together
 
 
 def correct_findings(findings: Sequence[ClaimFinding]) -> list[ClaimFinding]:
-    """The findings with p-values corrected over all of them, by the rate of false discoveries;
-    those that the correction leaves undecided are open."""
+    """The findings with p-values corrected over all that have one, by the rate of false
+    discoveries; those that the correction leaves undecided are open."""
     tested = [one.p for one in findings if one.p is not None]
     corrected, at_most = iter(benjamini_hochberg(np.array(tested)).tolist()), 2.0 * tails()[0]
     found = []
@@ -324,12 +328,16 @@ def _finding(claim: Mapping[str, Any], level: str | None, rows: ClaimRows) -> Cl
     if is_exact:
         figure, p = _exact_figure(values), None
         verdict: Verdict = "holds" if figure.value == 1.0 else "fails"
-        reason = "" if figure.value == 1.0 else f"{int((values.own < 1.0).sum())} cells differ"
+        missed = int((values.own < 1.0).sum())
+        reason = (
+            f"{missed} of {count_text(len(values.own), 'cell')} do not meet it" if missed else ""
+        )
     else:
         figure = figure_of()
         verdict = claim_verdict(figure, threshold)
         reason = _open_reason(figure, verdict, values, claim["over"])
-        p = claim_p(figure_of, threshold) if figure.low is not None else None
+        is_tested = figure.low is not None and claim["statistic"] not in BOOTSTRAPPED
+        p = claim_p(figure_of, threshold) if is_tested else None
     # Of a claim without a level its plants; recordings have none.
     plants = [name for name in dict.fromkeys(map(label, of["plant"])) if name != "none"]
     return ClaimFinding(

@@ -10,7 +10,12 @@ import pytest
 from sysid_bench.evaluation.robot_statistic import median_figure, rank_figure, ratio_figure
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.metrics import METRICS
-from sysid_bench.reporting.claims import ClaimFinding, ClaimRows, claim_findings
+from sysid_bench.reporting.claims import (
+    ClaimFinding,
+    ClaimRows,
+    claim_findings,
+    correct_findings,
+)
 
 ROBOTS = ("ur5", "panda", "so100", "z1", "scara", "tx40", "kinova")
 FACTORS = {"wls": 1.0, "good": 0.5, "bad": 3.0}
@@ -329,6 +334,20 @@ def test_a_rank_is_among_the_robots_that_all_methods_answer(seed: int) -> None:
     assert "ur5" not in robots
     assert (finding.value, finding.count) == (figure.value, len(robots))
     assert (finding.low, finding.high) == (figure.low, figure.high)
+
+
+def test_an_interval_of_the_bootstrap_has_no_p_and_no_part_in_the_correction() -> None:
+    """A sign test of eight robots is never below 2^-7; far ends of a bootstrap are."""
+    lines = cells(robots=tuple(f"r{k}" for k in range(8)))
+    rank = found(
+        lines, statistic="rank", against='estimator != "good"', direction="at most",
+        threshold=(1.0,),
+    )  # fmt: skip
+    ratio = found(lines, statistic="ratio")
+    assert (rank.p, rank.verdict) == (None, "holds")
+    assert ratio.p is not None
+    assert ratio.p >= 2.0**-7 * (1 - 1e-3)
+    assert correct_findings([rank] * 9 + [ratio])[-1] == correct_findings([ratio])[0]
 
 
 @pytest.mark.parametrize(
