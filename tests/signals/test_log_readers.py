@@ -245,8 +245,9 @@ def test_a_list_in_place_of_an_array_is_named(place: int, tmp_path: Path) -> Non
 @pytest.mark.parametrize("mark", [";", "\t"])
 def test_texts_of_other_countries_are_read(tmp_path: Path, encoding: str, mark: str) -> None:
     x = np.random.default_rng(0).normal(size=(20, 3)).round(6)
+    x[:3] = [[0, 0, 1], [1, 0, 1], [2, 0, 1]]  # a start at rest: "0;0;1" has no decimals
     for decimal in ".,":
-        lines = [["t", "q", "tau"], *([f"{v:.6f}".replace(".", decimal) for v in row] for row in x)]
+        lines = [["t", "q", "tau"], *([f"{v:.9g}".replace(".", decimal) for v in row] for row in x)]
         text = "\n".join(map(mark.join, lines)) + "\n"
         start = "\ufeff" if encoding.startswith("utf-16-") else ""
         (tmp_path / "run.csv").write_text(start + text, encoding=encoding)

@@ -50,6 +50,9 @@ _LIST: Final = re.compile(r'((?:^|[,;\t])\s*)"?(\[[^\[\]"]*\])"?')
 _DECIMAL_COMMAS: Final = re.compile(r"(?=.*\d,\d)[-+\d,eE \"]*([;\t][-+\d,eE \"]*)+")
 """Line of numbers with decimal commas between semicolons or tabs: 0,25;-1,5."""
 
+_LOOKED_AT: Final = 1000
+"""Lines in which decimal commas are looked for."""
+
 _COMPARED: Final = 10
 """Last lines whose decimals are compared."""
 
@@ -77,7 +80,10 @@ class DelimitedText:
         with path.open(encoding="utf-16" if is_wide else "utf-8-sig", errors="replace") as file:
             lines = _numbered_lines(path, file)
             header, first = _header(path, lines)
-            if _DECIMAL_COMMAS.fullmatch(first[1].strip()):
+            # A start at rest, "283;0;0", has no comma yet.
+            ahead = list(islice(lines, _LOOKED_AT))
+            lines = chain(ahead, lines)
+            if any(_DECIMAL_COMMAS.fullmatch(line.strip()) for _, line in (first, *ahead)):
                 first = first[0], first[1].replace(",", ".")
                 lines = ((number, line.replace(",", ".")) for number, line in lines)
             delimiter = _delimiter(first[1])
