@@ -18,7 +18,7 @@ from sysid_bench.commands.request import (
 )
 from sysid_bench.commands.result import Result
 from sysid_bench.commands.values import parse_condition, parse_entries
-from sysid_bench.errors import SysidBenchError
+from sysid_bench.errors import SysidBenchError, count_text
 
 if TYPE_CHECKING:
     from sysid_bench.experiments.spec import ExperimentSpec
@@ -134,9 +134,13 @@ class PlanResult(Result):
     def summary(self) -> str:
         """Counts, exclusions and notes."""
         lines = [
-            f"{len(self.cells)} cells in {len(self.experiments)} experiments, "
+            f"{count_text(len(self.cells), 'cell')} in "
+            f"{count_text(len(self.experiments), 'experiment')}, "
             f"about {self.seconds:.0f} s of one core ({self.seconds_from})",
-            *(f"{count} cells excluded: {reason}" for reason, count in self.excluded.items()),
+            *(
+                f"{count_text(count, 'cell')} excluded: {reason}"
+                for reason, count in self.excluded.items()
+            ),
             *self.notes,
         ]
         return "\n".join(lines)

@@ -1,6 +1,6 @@
 """Rows of null models and floors beside those of methods, in tables and rankings of the error."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Final
 
 import pandas as pd
@@ -21,12 +21,18 @@ BASELINES: Final[Mapping[str, tuple[str, ...]]] = {
 ROUNDING: Final = 1e-9
 """Errors of a model that explains the tests exactly: no floor of what can be identified."""
 
-CAPTION: Final = (
+_CAPTIONS: Final = (
     "Null model: bodies of the model file (of a simulated robot: of its prior) with fitted joint "
-    "terms; an answer above it identified nothing. Floor: the lower of the training torque, played "
-    "again where a test repeats its motion, and of the model fitted to the tests themselves; none "
-    "where that is exact."
+    "terms; an answer above it identified nothing.",
+    "Floor: the lower of the training torque, played again where a test repeats its motion, and of "
+    "the model fitted to the tests themselves; none where that is exact.",
 )
+
+
+def captions(shown: Collection[str]) -> list[str]:
+    """Sentences on the baselines with these labels."""
+    return [text for name, text in zip(BASELINES, _CAPTIONS, strict=True) if name in shown]
+
 
 _SHARED: Final = {*LABELS, "repeat", "experiment"}
 """Fields of the row of a method that its baselines have as well."""

@@ -11,7 +11,7 @@ import numpy as np
 from sysid_bench.evaluation.intervals import REPEATS
 from sysid_bench.evaluation.repeat_statistic import SETTING
 from sysid_bench.metrics import METRICS, REASONS
-from sysid_bench.reporting.baseline_rows import BASELINES, CAPTION, ERROR, with_baselines
+from sysid_bench.reporting.baseline_rows import BASELINES, ERROR, captions, with_baselines
 from sysid_bench.reporting.selection import (
     SWEEPABLE,
     Choose,
@@ -267,7 +267,7 @@ def build_table(
         entries=entries,
         notes=(
             *table_notes(chosen, layout, entries),
-            *([CAPTION] if len(shown) > len(chosen) else ()),
+            *captions({*shown["estimator"][len(chosen) :]} if len(shown) > len(chosen) else ()),
         ),
         repeats=int(chosen["repeat"].nunique()) if "repeat" in chosen.columns else 0,
     )

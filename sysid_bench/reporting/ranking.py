@@ -8,7 +8,7 @@ all verdicts of a suite, and so the verdicts, depend on which other methods are 
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
@@ -378,10 +378,7 @@ def rank_cells(
         left_out = dict(zip(reasons["estimator"].map(label), reasons[FRAME_DEPENDENT], strict=True))
         left_out.pop(against, None)
         kept = kept[~kept["estimator"].map(label).isin(left_out)]
-        if spec.get("family"):
-            spec = {**spec, "family": [one for one in spec["family"] if one not in left_out]}
-            # The others are no family that was declared: none of them has a verdict.
-            spec["family"] = spec["family"] or [against]
+        spec = _with_family(spec, lambda one: one not in left_out)
     if metric.name == ERROR:
         kept = with_baselines(kept)
     groups = kept.groupby(apart, sort=False) if apart else [((), kept)]
@@ -416,7 +413,28 @@ def correct_together(rankings: Iterable[Ranking]) -> tuple[Ranking, ...]:
 def entry_with_cells(spec: Mapping[str, Any], cells: "pd.DataFrame") -> dict[str, Any]:
     """A [[ranking]] entry with the members of its family that have cells: of a part of a run."""
     methods = set(cells["estimator"].map(label))
-    return {**spec, "family": [name for name in spec.get("family") or () if name in methods]}
+    return _with_family(spec, lambda name: name in methods)
+
+
+def _with_family(spec: Mapping[str, Any], is_member: Callable[[str], bool]) -> dict[str, Any]:
+    """A [[ranking]] entry with some members of its family. Where none is left it is the reference,
+    which has no verdict: without a family all methods would have one."""
+    family = spec.get("family") or ()
+    known = [name for name in family if is_member(name)]
+    if family and not known:
+        known = [str(spec.get("against", REFERENCE))]
+    return {**spec, "family": known}
+
+
+def _of_whole_robots(cases: RankingCases, baseline: str) -> RankingCases:
+    """The cases with a baseline for robots alone that have it in each case: methods are judged over
+    all of them, and the mean over other cases would be no bound of theirs."""
+    m, errors, status = cases.methods.index(baseline), cases.errors.copy(), cases.status.copy()
+    partly = {r for r, error in zip(cases.robots, errors[:, m], strict=True) if np.isnan(error)}
+    absent = [robot in partly for robot in cases.robots]
+    # No row: a failure would count as the reference.
+    errors[absent, m], status[absent, m] = np.nan, ""
+    return replace(cases, errors=errors, status=status)
 
 
 def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: Metric) -> Ranking:
@@ -430,11 +448,13 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
     is_replaced = spec.get("unconverged") == "replaced"
     # The reference stands first in its class: a copy of it is not compared with it.
     ordered = (against, *(method for method in methods if method != against))
-    of_baselines = (name for name in BASELINES if name in cases.methods)
-    found, baselines = (
-        [method_ratio(cases, name, against, margin, is_replaced) for name in names]
-        for names in (ordered, of_baselines)
-    )
+    found = [method_ratio(cases, name, against, margin, is_replaced) for name in ordered]
+    whole = [(name, _of_whole_robots(cases, name)) for name in BASELINES if name in cases.methods]
+    baselines = [
+        method_ratio(of, name, against, margin, is_replaced)
+        for name, of in whole
+        if not np.isnan(of.errors[:, of.methods.index(name)]).all()
+    ]
 
     def order(one: MethodRatio) -> tuple[float, str]:
         """Median of the deciding ratios, then the name; without any robot last."""

@@ -9,7 +9,7 @@ import numpy as np
 from sysid_bench.errors import count_text
 from sysid_bench.evaluation.intervals import ROBOTS, level_text, median_ranks
 from sysid_bench.evaluation.robot_statistic import RatioFigure, least_p, robots_needed
-from sysid_bench.reporting.baseline_rows import CAPTION
+from sysid_bench.reporting.baseline_rows import captions
 from sysid_bench.reporting.ranking import ALIKE, BROKEN, MOST_FALLBACKS, MethodRatio, Ranking
 from sysid_bench.reporting.tables import METRIC, NO_ENTRY, Entry, Key, Table
 from sysid_bench.types import Metric
@@ -67,7 +67,7 @@ def verdict_table(ranking: Ranking) -> Table:
         f"than {100 * MOST_FALLBACKS:g} % of the cases have no own answer, "
         "neither better nor equivalent."
     )
-    notes = chain(_notes(ranking), [CAPTION] if ranking.baselines else ())
+    notes = chain(_notes(ranking), captions([one.method for one in ranking.baselines]))
     return _table(ranking, "", "", _VERDICTS, _verdict_row, (caption, notes))
 
 
@@ -181,9 +181,9 @@ def _notes(ranking: Ranking) -> Iterator[str]:
     # floor.
     robots, verdicts = max(sizes, default=0), max(ranking.verdicts, 1)
     yield (
-        f"With {robots} robots p cannot be below {least_p(robots):.2g}, and after the correction "
-        f"not below {min(1.0, least_p(robots) * verdicts):.2g}; the first verdict needs "
-        f"{robots_needed(verdicts)} robots that all agree."
+        f"With {count_text(robots, 'robot')} p cannot be below {least_p(robots):.2g}, and after "
+        f"the correction not below {min(1.0, least_p(robots) * verdicts):.2g}; the first verdict "
+        f"needs {robots_needed(verdicts)} robots that all agree."
     )
     known = ((n, median_ranks(n)) for n in sizes)
     covered = [

@@ -98,6 +98,20 @@ def test_a_ranking_states_baselines_beside_methods_and_tests_none() -> None:
     assert made.entries[("floor",), ("robots",)].value == 7
 
 
+def test_a_baseline_that_some_cases_lack_has_no_ratio_there() -> None:
+    """Floors of one plant alone would stand beside methods over all plants."""
+    known = fabricate(4).assign(torque_error_floor=0.01, torque_error_best=0.02)
+    lines = [known.assign(plant=plant, experiment=known["experiment"] + plant) for plant in "ab"]
+    fields = ["torque_error_floor", "torque_error_best"]
+    lines[1][fields] = None
+    pooled = ranking(pd.concat(lines, ignore_index=True))
+    assert [one.method for one in pooled.baselines] == ["null model"]
+    assert not any("Floor" in note for note in verdict_table(pooled).notes)
+    lines[1].loc[lines[1]["robot"] != "r3", fields] = 0.01
+    *_, floor = ranking(pd.concat(lines, ignore_index=True)).baselines
+    assert (floor.method, floor.robots, floor.statuses) == ("floor", 8, {})
+
+
 def test_other_metrics_have_no_baselines() -> None:
     cells = fabricate(2)
     assert table(cells, cells={"metric": "seconds"}).rows == tuple((one,) for one in METHODS)

@@ -199,9 +199,8 @@ def test_few_robots_have_neither_interval_nor_verdict() -> None:
         assert decided == ("better" if robots >= 8 else "undecided")
         assert word(fabricate(robots=robots), "good") == ("better" if robots >= 6 else "undecided")
         assert good.smallest_p == 2.0 ** (1 - robots)
-        assert any(
-            f"With {robots} robots p cannot" in note for note in verdict_table(ranking).notes
-        )
+        counted = f"With {robots} robot{'s' if robots > 1 else ''} p cannot"
+        assert any(counted in note for note in verdict_table(ranking).notes)
 
 
 # --- Verdicts, failures, convergence --------------------------------------------------------------
@@ -422,9 +421,13 @@ def test_a_method_that_depends_on_link_frames_is_not_ranked() -> None:
 def test_a_part_of_a_run_has_the_members_of_the_family_that_ran() -> None:
     cells = fabricate(robots=2)
     part = cells[cells["estimator"].isin(["wls", "good"])]
-    for family, kept in ((["poor", "good", "none"], ["good"]), (["poor"], []), (None, [])):
+    for family, kept in ((["poor", "good", "none"], ["good"]), (["poor"], ["wls"]), (None, [])):
         entry = entry_with_cells({"name": "r", "family": family}, part)
         assert entry == {"name": "r", "family": kept}
+    # None of them has a verdict, as a family of which no member ran; without one, all have.
+    for family, tested in ((["poor"], ()), (None, ("good",))):
+        [one] = ranked(part, **entry_with_cells({"name": "r", "family": family}, part))
+        assert one.tested == tested
 
 
 def test_a_title_is_the_given_one_and_names_the_group() -> None:
