@@ -51,7 +51,7 @@ class Cell:
 
 
 def problems(text: str) -> list[str]:
-    """What is wrong with the numbers in the sentences of a page."""
+    """Faults of the numbers in the sentences of a page."""
     found = list[str]()
     cells = list(table_cells(text))
     printed = "\n".join(part[2] for part in PART.finditer(text))

@@ -1,4 +1,4 @@
-"""What a part of a page depends on: the code, suite, robots and library versions of its command.
+"""Dependencies of a part of a page: the code, suite, robots and library versions of its command.
 
 Code counts as the modules that the command can import, read and not imported; comments, docstrings
 and layout do not count.
@@ -57,8 +57,8 @@ def sources(command: str, root: Path = ROOT) -> dict[str, str]:
 
 
 def changed(before: Mapping[str, str], now: Mapping[str, str]) -> set[str]:
-    """What is new or different, folders of robots and files of data sets as one; what is absent
-    where nothing else is."""
+    """Names that are new or different, folders of robots and files of data sets as one; absent ones
+    where nothing else changed."""
     found = {name for name, digest in now.items() if before.get(name) != digest}
     return {name if name.startswith("suites/") else name.split("/")[0] for name in found} or {
         name for name in before if name not in now

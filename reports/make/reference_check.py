@@ -41,7 +41,7 @@ _STAMP: Final = re.compile(r"Commit ([0-9a-f]{8})(?: with changes)?, Python ")
 
 @dataclass(frozen=True)
 class Made:
-    """How a part was made: command, commit (8 digits), digests of its text and its sources, which
+    """Origin of a part: command, commit (8 digits), digests of its text and its sources, which
     a part that was not made again does not have."""
 
     command: str
@@ -83,14 +83,14 @@ def keep(page: str, entry: Made, folder: Path = PAGES) -> None:
 
 
 def later_changes(made: list[Made]) -> set[str]:
-    """What the parts of a page depend on and has changed since they were made; parts that were not
+    """Dependencies of the parts of a page that changed since they were made; parts that were not
     made again have no sources."""
     known = [(one.sources, one.command) for one in made if one.sources is not None]
     return set().union(*(changed(before, sources(command)) for before, command in known))
 
 
 def declared(text: str) -> set[str]:
-    """What a page says has changed since it was made."""
+    """Changes that a page declares."""
     found = _LATER_LINE.search(text)
     return set(found[1].split(", ")) if found else set()
 
@@ -106,7 +106,7 @@ def with_declaration(name: str, text: str, later: set[str]) -> str:
 
 
 def found_in(name: str, text: str, made: list[Made]) -> list[str]:
-    """All that is wrong with a page."""
+    """Faults of a page."""
     found = list[str]()
     entries = {entry.command: entry for entry in made}
     parts = PART.findall(text)

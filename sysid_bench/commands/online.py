@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -63,8 +63,7 @@ class Online(Request["OnlineResult"]):
                 flush=True,
             )
 
-        object.__setattr__(self, "report", show)
-        result = self.run()
+        result = replace(self, report=show).run()
         show(result)
         return OK if result.samples else NOTHING
 

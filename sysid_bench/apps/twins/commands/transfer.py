@@ -29,6 +29,7 @@ MOST_FALSE, LEAST_FOUND = 0.2, 0.5
 """Aims of a simulation: shares of its claims that are false, and of real differences found."""
 
 UNDECIDED: Final = "not decided"
+SINGLE: Final = "not decided, single type"
 
 OTHER, ALL = "another motion or day", "all sets"
 """Groups of sets: those whose test is another motion or another day, and all."""
@@ -206,6 +207,7 @@ class TransferResult(Result):
         words = {
             True: "reached", False: "missed", None: "not testable (no real differences)",
             UNDECIDED: "not decided (one type of robot more or less changes it)",
+            SINGLE: "not decided (one type of robot alone, and none to confirm it)",
         }  # fmt: skip
         bases = dict.fromkeys(label.rpartition(", ")[0] for label in figures if label != CEILING)
         for base in bases:
@@ -238,12 +240,14 @@ def _reaches(figures: Mapping[str, Any]) -> bool | None:
 
 
 def _decided(figures: Mapping[str, Any]) -> bool | str | None:
-    """Whether a source reaches the aims, or UNDECIDED where one type of robot decides it."""
+    """Verdict on the aims: reached or missed, UNDECIDED where it changes without one type of
+    robot, SINGLE where there is one type only."""
     reached = _reaches(figures)
     without = figures["without_one"]["reached"]
-    # With a single type nothing is left to confirm it.
-    is_carried = len(without) < 2 or any(one != reached for one in without)
-    return UNDECIDED if reached is not None and is_carried else reached
+    if reached is not None and len(without) < 2:
+        return SINGLE
+    changes = any(one != reached for one in without)
+    return UNDECIDED if reached is not None and changes else reached
 
 
 def _line(source: str, figures: Mapping[str, Any]) -> str:
