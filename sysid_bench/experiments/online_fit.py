@@ -104,9 +104,10 @@ class OnlineFit:
             sigma = np.maximum(sigma, 1e-9)
         root = solve_triangular(R[:, :-1], np.eye(len(prior)))
         std = np.linalg.norm(root, axis=1)
-        mass, com = beta[0], beta[1:4] / beta[0]
+        mass = beta[0] if beta[0] != 0.0 else np.nan  # without a sample no load has a centre
+        com = beta[1:4] / mass
         # d com = (d h - com d m) / m.
         slope = np.column_stack([-com, np.eye(3)]) / mass
         joints = np.stack([beta, std], axis=1)[10:].reshape(-1, len(TERMS), 2)
         com_std = np.linalg.norm(slope @ root[:4], axis=1)
-        return OnlineEstimate(int(self.counts.max()), mass, std[0], com, com_std, joints)
+        return OnlineEstimate(int(self.counts.max()), beta[0], std[0], com, com_std, joints)

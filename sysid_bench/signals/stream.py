@@ -14,6 +14,9 @@ from sysid_bench.errors import UsageError
 IDLE: Final = 5.0
 """s without a new line after which a file has ended."""
 
+LONGEST: Final = 1 << 16
+"""Most bytes of a line: what comes without end must not fill the memory."""
+
 Sample = tuple[float, list[float], list[float]]
 """t (s), q (joints,) and tau (joints,)."""
 
@@ -29,6 +32,8 @@ def stream_samples(source: str, names: Sequence[str]) -> Iterator[Sample]:
     before = -math.inf
     for number, line in enumerate(_lines(source), start=1):
         where = f"Line {number} of {source}"
+        if len(line) >= LONGEST:
+            raise UsageError(f"{where} has {LONGEST} bytes or more: it is not a sample.")
         if not line.endswith(b"\n"):
             raise UsageError(f"{where} is cut: the stream ended within it.")
         text = line.decode("utf-8", "replace").strip()
@@ -48,7 +53,10 @@ def stream_samples(source: str, names: Sequence[str]) -> Iterator[Sample]:
                 words = text.split(",")
                 numbers = [float(words[k]) for k in columns]
         except (ValueError, LookupError, TypeError) as error:
-            raise UsageError(f"{where} is no sample ({error}): {text[:60]!r}.") from error
+            raise UsageError(
+                f"{where} is not a sample: {text[:60]!r} ({type(error).__name__}: {error}). Write "
+                '{"t": s, "q": [...], "tau": [...]}, or CSV below a header.'
+            ) from error
         if len(numbers) != 2 * joints + 1:
             raise UsageError(
                 f"{where} has {len(numbers)} numbers, not t and {joints} of q and tau."
@@ -63,12 +71,13 @@ def stream_samples(source: str, names: Sequence[str]) -> Iterator[Sample]:
 
 def _lines(source: str) -> Iterator[bytes]:
     if source == "-":
-        yield from sys.stdin.buffer
+        yield from iter(lambda: sys.stdin.buffer.readline(LONGEST), b"")
     elif source.startswith("tcp://"):
         host, _, port = source.removeprefix("tcp://").rpartition(":")
         try:
             with socket.create_connection((host, int(port))) as connection:
-                yield from connection.makefile("rb")
+                received = connection.makefile("rb")
+                yield from iter(lambda: received.readline(LONGEST), b"")
         except (OSError, ValueError) as error:
             raise UsageError(f"{source} cannot be read: {error}; give tcp://HOST:PORT.") from error
     elif source.startswith("ros2:"):
@@ -85,13 +94,13 @@ def _growing(file: IO[bytes]) -> Iterator[bytes]:
     """Lines of a file, also those that are written meanwhile."""
     part, waited = b"", 0.0
     while waited < IDLE:  # of reading alone: what reads may be slow
-        line = file.readline()
+        line = file.readline(LONGEST)
         if not line:
             time.sleep(0.01)
             waited += 0.01
             continue
         part, waited = part + line, 0.0
-        if part.endswith(b"\n"):
+        if part.endswith(b"\n") or len(part) >= LONGEST:
             yield part
             part = b""
     if part:

@@ -75,6 +75,28 @@ def test_the_payload_and_the_friction_lie_within_their_deviations(
     assert seen[0].mass_std > seen[3].mass_std > found.mass_std
 
 
+@pytest.mark.long
+def test_deviations_are_those_of_the_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over thirty motions, with noise that is white: 95 % lie within 1.96 of them."""
+    monkeypatch.setattr(stream, "IDLE", 0.05)
+    file, away = tmp_path / "s.jsonl", list[float]()
+    for seed in range(30):
+        file.write_text(json_lines(*recorded("ur5", 100 + seed, 20, 250)))
+        found = sysid_bench.online("ur5", str(file))
+        away += [(found.mass - LOAD.mass) / found.mass_std]
+        away += [
+            (x - true) / std
+            for x, true, std in zip(found.com, LOAD.com, found.com_std, strict=True)
+        ]
+        for terms in found.joints.values():
+            for (x, std), true in zip(terms.values(), FRICTION, strict=True):
+                away.append((x - true) / std)
+    assert 0.92 < np.mean(np.abs(away) < 1.96) < 0.99
+    assert 0.8 < np.sqrt(np.mean(np.square(away))) < 1.1
+
+
 def test_a_shell_reads_standard_input_and_prints_lines_of_json() -> None:
     text = json_lines(*recorded("ur5", 3, 4.0, 200.0))
     command = [sys.executable, "-m", "sysid_bench", "online", "ur5", "-"]
@@ -132,11 +154,13 @@ BAD = {
     "falls": GOOD + GOOD,
     "not finite": GOOD.replace("[0, 0]}", "[0, NaN]}"),
     "is cut": GOOD + GOOD[:12],
-    "is no sample": GOOD + "\n",
+    "is not a sample": GOOD + "\n",
     "'tau'": '{"t": 0.1, "q": [0, 0]}\n',
     "4 numbers": GOOD.replace("[0, 0]}", "[0]}"),
     "no column b.tau": "t,a.q,b.q,a.tau\n0,0,0,0\n",
     "could not convert": "t,a.q,b.q,a.tau,b.tau\n0,0,x,0,0\n",
+    "65536 bytes or more": GOOD + "[" * 200_000 + "\n",
+    "has 65536 bytes": GOOD + GOOD[:-2] + " " * 100_000,
     "index out of range": "t,a.q,b.q,a.tau,b.tau\n0,0,0\n",
 }
 
@@ -150,6 +174,19 @@ def test_a_line_that_is_no_sample_is_named(
     file.write_text(BAD[words])
     with pytest.raises(UsageError, match=f"Line [123] of .*{words}"):
         list(stream.stream_samples(str(file), "ab"))
+
+
+def test_a_stream_without_a_window_has_no_centre(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream, "IDLE", 0.05)
+    file = tmp_path / "short.jsonl"
+    for text in ("", json.dumps({"t": 0, "q": [0] * 6, "tau": [0] * 6}) + "\n"):
+        file.write_text(text)
+        found = sysid_bench.online("ur5", str(file))
+        assert (found.samples, found.mass) == (0, 0.0)
+        assert np.isnan([*found.com, *found.com_std]).all()
+        assert "nothing is estimated" in found.summary()
 
 
 @pytest.mark.parametrize("source", ["no/such/file", "ros2:/joint_states", "tcp://nowhere"])
