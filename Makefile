@@ -151,9 +151,9 @@ $(DOCS_STAMP): $(STAMP)
 	$(BIN)/python -m pip install -q -c constraints.txt "sysid-bench[docs]"
 	touch $@
 
-# What .ci/run does after the tests, three parts at a time, since faults and clusters mostly wait. All is installed before.
+# What .ci/run does after the tests, two parts at a time, since clusters mostly wait. All is installed before.
 side-by-side: $(CLUSTER_STAMP) $(DOCS_STAMP)
-	$(MAKE) -j 3 --output-sync=target faults cluster gate docs lint reference-check
+	$(MAKE) -j 2 --output-sync=target cluster gate docs lint reference-check
 
 clean:
 	find .cmake -mindepth 1 ! -name CMakeLists.txt ! -name .gitignore -delete
